@@ -41,7 +41,7 @@ class Proxy:
         self, listen: int, to: int, impairment: Impairment, seed: int, record: IO[str] | None
     ) -> None:
         self._vehicle_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # A starting `simulate` briefly listens on this port.
+        # Share the port, because a starting `simulate` briefly listens on it.
         self._vehicle_side.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._vehicle_side.bind(("127.0.0.1", listen))
         self._app_side = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -66,7 +66,7 @@ class Proxy:
     def _receive(self, side: socket.socket) -> None:
         try:
             data, sender = side.recvfrom(4096)
-        except OSError:  # an earlier datagram found no listener
+        except OSError:  # nobody listened when an earlier datagram was sent
             return
         now = time.monotonic()
         if side is self._vehicle_side:

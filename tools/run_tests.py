@@ -32,7 +32,7 @@ REST = "realtime or px4 or rest"
 
 
 def _files_with(mark: str) -> str:
-    """Return the files that name a mark: each worker needs 5 s to collect all of them."""
+    """Return the test files that name a mark; to collect all test files takes each worker 5 s."""
     paths = sorted(Path("tests").rglob("test_*.py"))
     return " ".join(str(path) for path in paths if re.search(rf"\b{mark}\b", path.read_text("utf-8")))
 
@@ -58,10 +58,10 @@ def run(commands: Sequence[str]) -> bool:
 
 
 def finish(process: subprocess.Popen[bytes]) -> int:
-    """Return the exit status of a process, which is ended if this process is interrupted."""
+    """Wait for a process and return its exit status; end it if this process is interrupted."""
     try:
         return process.wait()
-    except KeyboardInterrupt:  # the process received it as well
+    except KeyboardInterrupt:  # the child received the interrupt, too
         process.wait()
         raise
     finally:
@@ -89,7 +89,7 @@ def show(output: IO[bytes], process: subprocess.Popen[bytes]) -> None:
     """Print the output of a process until it ends."""
     ended = False
     while not ended:
-        ended = process.poll() is not None  # before the last read
+        ended = process.poll() is not None  # checked before the last read, so that no output is lost
         sys.stdout.buffer.write(output.read())
         sys.stdout.flush()
         time.sleep(0.2)

@@ -1,8 +1,8 @@
 """The functions behind `import dart_flight`, for Python scripts (docs/python.md).
 
-They correspond to the commands: they load missions, vehicles and scenarios, simulate flights, predict
-contacts, plan, identify and read flight logs. Invalid input raises `InputError`, which is a `ValueError`. No
-function starts an event loop, and every function can be called while an event loop runs.
+Like the commands, they load missions, vehicles and scenarios, simulate flights, predict contacts, plan
+missions, identify coefficients and read flight logs. Invalid input raises `InputError`, which is a
+`ValueError`. No function starts an event loop, and every function can be called while an event loop runs.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 
 
 def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> VehicleConfig:
-    """Load a vehicle configuration; `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
+    """Load a vehicle configuration; the method `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
         path: a file, or a mapping with its content. Default: $DART_FLIGHT_CONFIG, then
@@ -78,7 +78,7 @@ def load_mission(
     vehicle: VehicleConfig | Written | None = None,
     settings: Sequence[str] = (),
 ) -> Mission:
-    """Load a mission and its vehicle; `replace({"limits.speed_m_s": 2.0})` returns a modified copy.
+    """Load a mission and its vehicle; `Mission.replace({"limits.speed_m_s": 2.0})` returns a modified copy.
 
     Args:
         mission: a file, a mapping with its content, or a loaded mission.
@@ -262,7 +262,7 @@ def predict_drop(
         InputError: as for `predict`, or the height is not above 0, or exceeds 100 m.
     """
     condition = prediction.condition(vehicle, surface, mode, onset, 0.0)
-    prediction.drop_contact(condition, height_m)  # raises for a height out of range
+    prediction.drop_contact(condition, height_m)  # raises InputError if the height is out of range
     return drop(condition.coefficients, condition.mass_kg, height_m, condition.onset)
 
 
@@ -309,7 +309,7 @@ class PlanResult:
             path: the file to write.
             rank: rank of the plan; 1 is the best.
             verify: whether to fly the plan in simulation first (21 flights in this process, half a minute)
-                and write the results into the file (`flown`).
+                and write the results into the file, under the key `flown`.
 
         Raises:
             InputError: the file cannot be written, or no plan has this rank.
@@ -374,7 +374,7 @@ def plan(
         )
     if objective is not None:
         if objective not in list(Objective):
-            raise InputError(f"{objective!r} is none of {', '.join(Objective)}", key=("objective",))
+            raise InputError(f"{objective!r} is not one of {', '.join(Objective)}", key=("objective",))
         scenario = with_objective(scenario, Objective(objective))
     if scenario.objective is Objective.QUICKEST:
         return PlanResult(plan_quickest(scenario, within_s))
@@ -442,7 +442,7 @@ def identify(
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:
-    """Return the trials of a source that is not a file."""
+    """Return the trials in a `Trial`, flight or log; an empty list for a file."""
     if isinstance(source, Trial):
         return [source]
     if isinstance(source, Flight):

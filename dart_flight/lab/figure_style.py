@@ -23,7 +23,7 @@ PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
 GREY = "#666666"
-LINES = (TRUE, ESTIMATED, PREDICTED)  # colours for several quantities from one source
+LINES = (TRUE, ESTIMATED, PREDICTED)  # line styles for several quantities from one source
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",
@@ -67,9 +67,9 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; `height` is in inches for a figure as wide as `PAGE`.
+    """Return a figure and its axes; `height` is in inches and applies to the width of `PAGE`.
 
-    The aspect of the figure does not depend on `look`. `options` are those of `Figure.subplots`.
+    Every `look` gives the same aspect. `options` are those of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
 

@@ -70,8 +70,8 @@ class FlightArrays:
             move the frame (`frame_at`); each position is converted with the frame valid at its time.
         estimated: the motion estimated by PX4; empty without a frame.
         true: the true motion of a simulated vehicle; empty for a real vehicle.
-        estimated_force: the force estimated by the flight core. The times exclude the lag of the IMU's
-            reading.
+        estimated_force: the force estimated by the flight core. Its times are corrected for the lag of the
+            IMU's reading.
         true_force: the true force of a simulated vehicle; empty for a real vehicle.
     """
 
@@ -100,7 +100,7 @@ class FlightArrays:
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)
         stamps = [s.source_us for s in tracked if s.source_us is not None]
-        if stamps and len(stamps) == len(tracked):  # without jitter; the clocks differ by a constant
+        if stamps and len(stamps) == len(tracked):  # the stamps have no jitter, only an offset
             own = np.array(stamps, dtype=float)
             received = own + (received - own).min()
         rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0
@@ -125,7 +125,7 @@ class FlightArrays:
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind, or none if no mission frame can convert them."""
+        """Return the records of a kind; an empty topic if the flight has no mission frame."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:

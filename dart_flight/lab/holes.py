@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from dart_flight.base.records import ImuSample
 from dart_flight.recording.reader import Log
 
-_INTERVALS, _LEAST_S = 10.0, 0.1  # minimum hole, in intervals and s; shorter ones are jitter or a lost sample
+_INTERVALS, _LEAST_S = 10.0, 0.1  # minimum hole, in intervals and s: more than jitter or a lost sample
 _SHOWN = 3
 
 
 def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None = None) -> list[str]:
-    """Return a line for each of the longest holes between increasing stamps, and one for the remaining holes.
+    """Return a line for each of the longest holes in increasing stamps, and one line for all others.
 
     The printed times count from `begin_s`, by default the first stamp.
     """

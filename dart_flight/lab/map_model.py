@@ -29,8 +29,8 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
 _OPPOSED, _SAME_PLANE_M = (
     -0.9,
     0.01,
-)  # maximum cosine of opposite normals; maximum distance in one plane
-_BACK_TO_BACK_M = 0.4  # minimum distance of two faces for a name behind a face instead of in front of it
+)  # opposed normals have a smaller cosine; faces in one plane have a smaller offset
+_BACK_TO_BACK_M = 0.4  # with less space behind a face, the wall's name is in front of it
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 
 
@@ -72,7 +72,7 @@ FlatLine = Array | Sequence[Vec2]
 
 
 class Line(NamedTuple):
-    """A line (n, 2) or (n, 3), or the outline of an area; `legend` replaces the name of its kind."""
+    """A line (n, 2) or (n, 3), or the outline of an area; the legend shows `legend`, or else the kind."""
 
     kind: MapKind
     points: Array
@@ -88,7 +88,7 @@ class Place(NamedTuple):
 
 
 class Arrow(NamedTuple):
-    """A force, or the direction of a path of the given kind."""
+    """An arrow that shows a force, or the direction of a path."""
 
     kind: MapKind
     begin: Vec2
@@ -139,7 +139,7 @@ class DrawnWall(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The wall's name, with its material unless the two are equal."""
+        """The wall's name, and its material if the two differ."""
         return named_material(self.plane)
 
     @property
@@ -150,7 +150,7 @@ class DrawnWall(NamedTuple):
 
 
 def named_material(thing: Wall | Post) -> str:
-    """Return the name of a wall or post, with its material unless the two are equal."""
+    """Return the name of a wall or post, and its material if the two differ."""
     return thing.name if thing.name == thing.material else f"{thing.name} ({thing.material})"
 
 
@@ -258,7 +258,7 @@ def planned_lines(mission: Mission, planned: PredictedFlight) -> list[Array]:
 
 
 def uncertainty_band(line: Array, normal: Vec2, sd_m: Array) -> Array:
-    """Return the outline of `SURE` standard deviations on both sides of a line (n, 2); `sd_m` is (n,)."""
+    """Return the outline of the band that extends `SURE` times `sd_m` (n,) to both sides of a line (n, 2)."""
     apart = SURE * sd_m[:, None] * np.array(normal)
     return np.vstack([line + apart, (line - apart)[::-1]])
 
@@ -278,7 +278,7 @@ def placed(points: Sequence[Vec2], at: Vec2 | Vec3, yaw_rad: float) -> Array:
 
 
 def arms_m(airframe: Airframe) -> list[tuple[Vec2, Vec2]]:
-    """Return each arm from the frame to its motor (forward, left), m."""
+    """Return a line for each arm, from the frame to the motor (forward, left), m."""
     return [
         ((_HUB_SHARE * motor.x_m, -_HUB_SHARE * motor.y_m), (motor.x_m, -motor.y_m))
         for motor in airframe.motors

@@ -85,12 +85,12 @@ def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) 
 
 
 class PlannedHit(NamedTuple):
-    """A hit where the flight model predicts it, or else where the mission plans it.
+    """A hit as the flight model predicts it; without a prediction, as the mission plans it.
 
     Attributes:
         at: position of the vehicle's centre, mission frame, m.
         velocity: velocity before the hit, mission frame, m/s; None if unknown.
-        force: peak force on the vehicle, mission frame, N; None if it is not predicted, or not flown.
+        force: peak force on the vehicle, mission frame, N; None without a prediction or a contact.
         setpoint: recovery setpoint, mission frame, m; None without a recovery.
         text: mode, speed, force and incidence in lines; "" without a prediction.
     """

@@ -30,7 +30,7 @@ class Separation(NamedTuple):
 
     Attributes:
         chance: probability that a value of the first group exceeds a value of the second group. A tie counts
-            half. 0.5 is no separation.
+            half. 0.5 means no separation.
         z: (`chance` - 0.5) / s, where s is the standard deviation of `chance` for groups that do not differ.
     """
 

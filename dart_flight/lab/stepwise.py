@@ -65,9 +65,9 @@ class SteppedObservation(NamedTuple):
         force: estimated external force, mission frame, N, shape (3,); zeros before the first estimate.
         mode: mode of the lock's horn; None while the horn moves.
         walls: walls nearer than `view_m`, nearest first, shape (n, 5). Columns: x and y of the wall's point
-            (m), x and y of the wall's normal, and the free distance (m). The vehicle's centre can move by the
-            free distance along the normal before the vehicle touches the wall. Point and normal are in the
-            mission frame.
+            (m), x and y of the wall's normal, and the free distance (m). The vehicle's centre can move this
+            distance towards the wall before the vehicle touches the wall. Point and normal are in the mission
+            frame.
         contacts: number of contacts that have ended since `reset`.
         is_down: whether the vehicle has landed, or has tilted by more than 90 degrees.
     """

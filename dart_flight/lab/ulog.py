@@ -60,7 +60,7 @@ class ULogFile(msgspec.Struct):
         topics: name -> instance -> field -> array as PX4 wrote it. Topics without samples are absent.
         parameters: PX4's parameters at the start of the log.
         version: PX4's version, or None if it is not logged or PX4 was built between releases.
-        gaps_s: total duration that the logger lost, s.
+        gaps_s: total duration of the logger's gaps, s.
         damage: descriptions of damaged parts, which are skipped.
     """
 
@@ -187,7 +187,7 @@ def _other_than_multicopter(log: ULogFile) -> str | None:
 
 
 def seconds(data: dict[str, Any]) -> Array:
-    """Return a topic's stamps, s on the autopilot's clock: of measurement if logged, or else of logging."""
+    """Return the times at which a topic was measured (if unknown: logged), in s on the autopilot's clock."""
     name = (
         "timestamp_sample" if "timestamp_sample" in data and data["timestamp_sample"].any() else "timestamp"
     )

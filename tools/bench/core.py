@@ -43,7 +43,7 @@ MISSIONS = (
     "paper_dual_collision",
     "dual_collision_replan",
     "paper_single_wall",
-)  # setpoint, replanned, one wall
+)  # with a recovery setpoint, with replanning, with one wall
 _REPEATS = 5
 _CHUNK = 50  # inputs, or ticks
 _NAN3 = (float("nan"),) * 3
@@ -220,10 +220,10 @@ def rows() -> list[dict[str, Any]]:
     """Return rows for the benchmark table.
 
     `core step` is the processor time of one step, averaged over a whole flight's inputs, in microseconds;
-    `core step imu` is the same for IMU samples alone. `plant and autopilot` is the processor time of one dual
-    collision in seconds. `fast flight` is the processor time of one flight with its verdict, without a log.
-    Its baseline is the simulated time, so the ratio is a multiple of real time. For the compiled package, the
-    baseline of the parts is the interpreted package.
+    `core step imu` averages over the IMU samples alone. `plant and autopilot` is the processor time of one
+    dual collision in seconds. `fast flight` is the processor time of one flight with its verdict, without a
+    log. Its baseline is the simulated time, so the ratio is a multiple of real time. For the compiled
+    package, the baseline of the parts is the interpreted package.
     """
     pure = measure_package(ROOT)
     found = _rows_of(pure, None)

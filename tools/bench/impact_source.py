@@ -29,9 +29,9 @@ from dart_flight.sim.embedded_autopilot import TICK_S, TICK_US, ImuReading, make
 from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
-POSITION_NED = (1.6, 0.0, -1.0)  # just in front of the acrylic wall of that mission
+POSITION_NED = (1.6, 0.0, -1.0)  # just in front of the mission's acrylic wall
 SPEED_M_S = 1.0
-_SETTLE_S = 6.0  # for connection, rates and start of the app
+_SETTLE_S = 6.0  # time for connection, rates and start of the app
 
 
 def free_udp_port() -> int:
@@ -102,7 +102,7 @@ def main(port: int, impacts: int, period_s: float) -> int:
         autopilot.plant.time_s += TICK_S
         t_s = (autopilot.time_us - start_us) * 1e-6
         while done < impacts and t_s > next_s + period_s:
-            next_s += period_s + rng.uniform(0.0, TICK_S)  # not synchronised with the ticks
+            next_s += period_s + rng.uniform(0.0, TICK_S)  # impacts are not synchronised with the ticks
             done += 1
         hit = done < impacts
         force = pulse_n(max(0.0, t_s - next_s), rigid.k, rigid.f, mass) if hit else 0.0

@@ -42,8 +42,8 @@ from dart_flight.run.flight_record import FlightRecord
 from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
-PERIOD_S = 0.3  # a contact of 46 ms, its end, the refractory time
-_MATCH_M = 1e-3  # tolerance between a setpoint on the wire and the core's
+PERIOD_S = 0.3  # more than a contact of 46 ms, the detection of its end and the refractory time
+_MATCH_M = 1e-3  # tolerance for matching a setpoint on the wire with a setpoint of the core
 _LONGEST_NS = 100_000_000
 
 
@@ -58,7 +58,7 @@ class RepeatingCore:
     def __init__(self, mission: Mission, impacts: int) -> None:
         self._mission, self._core = mission, FlightCore(mission)  # a compiled class cannot be subclassed
         self.recoveries: list[Setpoint] = []
-        self.overruled: list[str] = []  # reasons of the guard, such as a stall of the machine
+        self.overruled: list[str] = []  # reasons why the guard acted, such as a stall of the machine
         self._impacts = impacts
         self._restart_us = 0
         self._begun = False
@@ -139,7 +139,7 @@ def measure(impacts: int = IMPACTS, mocap_url: str | None = None) -> Result:
 
     Args:
         impacts: number of impacts.
-        mocap_url: pose source from which the app forwards, or None.
+        mocap_url: source whose poses the app forwards, or None.
     """
     port = free_udp_port()
     command = [sys.executable, "-m", "tools.bench.impact_source", str(port), str(impacts), str(PERIOD_S)]

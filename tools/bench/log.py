@@ -21,7 +21,7 @@ from tools.bench.processor import thread_seconds
 _MISSION = Path(__file__).parents[2] / "missions" / "paper_dual_collision.yaml"
 _SLOT_US = 4000  # one IMU sample
 _PACED_S = 10.0
-_WRITTEN_S = 0.5  # after the last record
+_WRITTEN_S = 0.5  # time for writing after the last record
 
 
 def record_slots() -> list[list[tuple[Record, int]]]:
@@ -44,7 +44,7 @@ def record_slots() -> list[list[tuple[Record, int]]]:
 
 
 class _Cost(NamedTuple):
-    """Processor seconds for putting the records and of the log's own thread, and the number of records."""
+    """Processor seconds of putting the records and of the log's own thread, and the number of records."""
 
     putting_s: float
     writing_s: float
@@ -76,8 +76,8 @@ def rows() -> list[dict[str, Any]]:
     """Return rows for the benchmark table.
 
     `log record` is the processor time per record at the pace of a flight, in microseconds, including
-    encoding, compression and writing. Its baseline puts all records without pauses, with warm caches.
-    `log put` is the part of that time on the core's thread. `log share` is the share of one core at 250 IMU
+    encoding, compression and writing. The baseline puts all records without pauses, with warm caches. `log
+    put` is the part of that time on the core's thread. `log share` is the share of one core at 250 IMU
     samples a second, in per cent. `log size` is in megabytes per minute.
     """
     paced = record_slots()[: round(_PACED_S * 1e6 / _SLOT_US)]

@@ -136,7 +136,7 @@ def _pass_contact(scenario: Scenario, stage: ContactStage, wall: Wall, onset: Fl
         en = et = np.zeros_like(x)
         if step >= engaged:
             en, et = kp * (rn - x) - v, kp * (rt - q) - u
-        fed_n, fed_t = kd * force / m, kd * slope_t  # the D term's share of the contact is fed forward
+        fed_n, fed_t = kd * force / m, kd * slope_t  # the contact's share of the D term is fed forward
         an = an + h * (kv * en + jn + fed_n - kd * slope_n - an) / tau
         at = at + h * (kv * et + jt + fed_t - kd * (slope_t + at) - at) / tau
         jn, jt = jn + h * ki * en, jt + h * ki * et

@@ -4,7 +4,7 @@
 
 Each client is a separate process that receives from `impact_source` (a contact every three seconds), and the
 clients take turns. The parts are threads, with the processor time that Linux counts for each. Threads that
-are neither Python's nor the app's own belong to MAVSDK, whose callbacks build the records. The deadman is a
+neither Python nor the app started belong to MAVSDK. Its callbacks build the records. The deadman is a
 process. The figures are in docs/results/latency.md.
 """
 
@@ -36,7 +36,7 @@ from tools.bench.processor import process_seconds, thread_seconds
 
 SECONDS, ROUNDS = 20.0, 3
 _PERIOD_S = 3.0
-_LEAD_S = 8.0  # for connection, rates and start of the app
+_LEAD_S = 8.0  # time for connection, rates and start of the app
 MAVSDK = "MAVSDK and its callbacks"
 Shares = dict[str, float]  # part -> per cent of a core
 

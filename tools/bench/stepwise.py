@@ -22,7 +22,7 @@ from dart_flight.lab.stepwise import FlightSetpoint, SteppedSimulation
 
 STEPS = 1500
 _PERIOD_S = 0.04
-_ACTION_SHARE = 0.3  # share of the largest acceleration, so that episodes last
+_ACTION_SHARE = 0.3  # share of the largest acceleration; small, so that episodes do not end early
 
 
 def shuttle_seconds(steps: int) -> float:

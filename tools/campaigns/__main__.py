@@ -35,7 +35,7 @@ from tools.campaigns.results import ROOT
 
 HERE = Path(__file__).parent
 NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
-# Without those that need PX4, or the extra `mutants` and hours.
+# The others need PX4, or the extra `mutants` and several hours.
 USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
 
 
@@ -82,7 +82,7 @@ def measure(options: argparse.Namespace, name: str) -> int:
         completed = campaigns.fly(opened, engine, interrupt, show)
     spent_s = _add_session(opened.folder, time.monotonic() - began_s)
     if completed < opened.flights:
-        console.print(f"interrupted: {completed} of {opened.flights}; continue with --resume")
+        console.print(f"interrupted: {completed} of {opened.flights} flights; continue with --resume")
         return 130
     rows = campaigns.read_rows(opened)
     text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])

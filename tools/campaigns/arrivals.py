@@ -15,7 +15,7 @@ from tests.arrival import planned_there_s
 
 COLLIDING, FREE = "colliding", "free"
 USING_COLLISIONS = ("shuttle", "touch_and_return", "hairpin", "limited_sight")
-WALL_SHIFT_M = 0.03  # added to a place's tolerance, because a drawn wall moves the place with it
+WALL_SHIFT_M = 0.03  # added to the tolerance of a place at a wall, because a drawn wall moves the place
 
 
 class BothWays(NamedTuple):

@@ -138,7 +138,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
             contacts.append(record)
         elif isinstance(record, PhaseChange) and record.after is Phase.PREPARE and sticks_rigid:
             assert flight.mock is not None
-            flight.mock.inject(_STUCK)  # the rods stay inserted
+            flight.mock.inject(_STUCK)  # the rods stay inserted, so the arms stay rigid
 
     sticks_rigid = disobeys and commanded is Mode.FLEXIBLE
     faults = _STUCK if disobeys and commanded is Mode.RIGID else None

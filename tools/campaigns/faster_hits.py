@@ -1,8 +1,8 @@
 """Campaign: single hits along planned trajectories at increasing speed, and the causes that end them.
 
 A flight (docs/results/faster_hits.md) starts from rest, hits a wall at a given velocity, rebounds, and comes
-to rest 2 m in front of the wall. The mission's limits are raised so that force and speed end no flight. A
-flight is *recovered* if it completed and was truly at rest at the goal.
+to rest 2 m in front of the wall. The mission's limits are raised so that no flight ends because of its force
+or speed. A flight is *recovered* if it completed and was truly at rest at the goal.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ from dart_flight.sim.px4.launch import ENVIRONMENT
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
 from tools.campaigns.results import markdown
 
-_FRICTION_RATIO = 0.5  # friction over normal force up to which the law of friction is assumed valid
+_FRICTION_RATIO = 0.5  # the law of friction is assumed valid up to this ratio of friction to normal force
 _WALL_M, _BACK_M = 3.0, 2.0
 _MOTION = (5.0, 8.0, 30.0)  # acceleration m/s2, jerk m/s3, tilt degrees
-_TILT_US = 1_000_000  # interval after the hit for the tilt
+_TILT_US = 1_000_000  # interval after the hit in which the largest tilt counts
 _NEAR_M, _STILL_M_S = 0.25, 0.3
 
 

@@ -1,9 +1,9 @@
 """Campaign: malformed files and MAVLink frames must be rejected in one line, without traceback or hang.
 
-Each input (docs/results/fuzz.md) is a valid input with a damage that its number determines: bytes or lines
-are removed, doubled, swapped or replaced, or values are exchanged. An input fails if it raises an exception
-other than `InputError` (for frames: any exception). It also fails if the error has several lines, or if the
-program takes more than a second of processor time.
+The number of an input (docs/results/fuzz.md) determines how a valid input is damaged: bytes or lines are
+removed, doubled, swapped or replaced, or values are exchanged. An input fails if it raises an exception other
+than `InputError` (for frames: any exception). It also fails if the error has several lines, or if the program
+takes more than a second of processor time.
 """
 
 from __future__ import annotations

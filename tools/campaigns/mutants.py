@@ -30,8 +30,8 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from tools.campaigns.results import ROOT, markdown
 
 _MUTATED = ("dart_flight/core/*/*.py", "dart_flight/core/*.py", "dart_flight/run/core_thread.py")
-# Operators by kind of change; cosmic-ray's others, such as a shift for a sum, always fail. None changes `<`
-# into `<=`, because a measured number does not equal its limit.
+# Operators by kind of change. The tests always detect cosmic-ray's others, such as a shift instead of a sum.
+# No operator changes `<` into `<=`, because a measured number does not equal its limit.
 _KINDS = {
     "comparison": [
         f"ReplaceComparisonOperator_{a}_{b}"
@@ -44,8 +44,8 @@ _KINDS = {
     "constant": ["NumberReplacer", "ReplaceTrueWithFalse", "ReplaceFalseWithTrue"],
     "loop": ["ZeroIterationForLoop", "ReplaceBreakWithContinue", "ReplaceContinueWithBreak"],
 }
-# For each command the mark of its tests, and groups of them: those that detect most mutants in the shortest
-# time come first, and only a survivor runs all.
+# Command -> mark of its tests, then groups of tests. The groups that detect most mutants in the shortest time
+# come first; only a surviving mutant runs all groups.
 _COMMANDS = {
     "test": (
         "not rest",
@@ -55,10 +55,10 @@ _COMMANDS = {
     ),
     "test-rest": ("rest", "tests"),
 }
-# Everything of a checkout: the pages' tests read README, Makefile and deploy too.
+# Everything else is copied, because the tests of pages also read README, Makefile and deploy.
 _LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".*_cache", "__pycache__")
 _LONGEST_S = 3600.0
-_LEAST_CHANGE = 1e-3  # of a number, relative; one microsecond of a second shows nowhere
+_LEAST_CHANGE = 1e-3  # least relative change of a number; no test can detect 1 us in 1 s
 
 
 class Mutant(msgspec.Struct, frozen=True):
@@ -99,8 +99,8 @@ def try_mutant(_: Point, seed: int) -> Mutant:
     after = mutate_code(before, get_operator(f"core/{drawn[1]}")(), drawn[2]) if seed else before
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         tree = Path(folder) / "tree"
-        shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # some test data are broken links
-        (tree / ".venv").symlink_to(sys.prefix)  # the advice on missing packages depends on it
+        shutil.copytree(ROOT, tree, symlinks=True, ignore=_LEFT_OUT)  # test data contain broken links
+        (tree / ".venv").symlink_to(sys.prefix)  # advice on missing packages depends on this path
         (tree / path).write_text(after, "utf-8")
         command, detected_by = _first_detection(tree)
     if not seed:

@@ -103,7 +103,7 @@ class Disturbance(NamedTuple):
 
     begin: Callable[[SecondLink], None]
     position_from: PositionSource = PositionSource.MOCAP
-    parameters: str = ""  # set from the start
+    parameters: str = ""  # PX4 parameters set before the start
     stops_motors: bool = False
     off_m: float = 0.0
 

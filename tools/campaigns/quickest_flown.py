@@ -1,4 +1,4 @@
-"""Campaign: whether flights reported by `plan` for the objective `quickest` hold in other drawn worlds."""
+"""Campaign: results of `plan` with the objective `quickest`, checked in other drawn worlds."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from tools.campaigns.results import markdown
 
 _AFTER_US = 60_000
 _LONGEST_S = 30.0
-_CLEAR_LEAD_M = 0.005  # lead from which the side must be right
+_CLEAR_LEAD_M = 0.005  # with a larger lead, the estimated side must be right
 SETS: dict[str, dict[str, float]] = {
     "nothing": {},
     "off": {"wall_yaw_deg": 4.0},

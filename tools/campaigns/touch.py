@@ -229,7 +229,7 @@ def share_of_outline(corners: np.ndarray, found: Sequence[tuple[float, float]]) 
 
 
 def estimated_walls(mission: Mission, verdict: Verdict, records: Iterable[Any]) -> list[EstimatedWall]:
-    """Return the last estimate of each wall by a contact."""
+    """Return each wall's last estimate from a contact."""
     last = {record.wall: record for record in records if isinstance(record, WallEstimate)}
     found = []
     for wall in verdict.walls:

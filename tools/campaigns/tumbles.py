@@ -1,7 +1,7 @@
 """Campaign: generated rooms with one oblique wall, and which of their flights turn over.
 
 Each room (docs/results/tumbles.md) has a wall at 0 to 25 degrees, hit at 0.5 to 3 m/s in either mode. The
-page counts the tumbles among the rooms that `check` lets go, and the tumbles among those that it refuses.
+page counts the tumbles among the rooms that `check` accepts, and the tumbles among the rooms that it refuses.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from tools.campaigns.results import markdown
 
 _ROOMS = 50
 _TUMBLED_DEG = 80.0
-_REST_M = 1.6  # from the wall to the goal
-_STIFFNESS_N_S_M = {"flexible": 25.0, "rigid": 35.0}  # rough ratio of peak force to speed, for the gain
+_REST_M = 1.6  # distance from the wall to the goal
+_STIFFNESS_N_S_M = {"flexible": 25.0, "rigid": 35.0}  # rough peak force per speed, for the gain
 
 
 class RoomFlight(msgspec.Struct, frozen=True):
@@ -105,7 +105,7 @@ def refusals(room: str) -> tuple[str, ...]:
 
 
 def fly(point: Point, seed: int) -> RoomFlight:
-    """Fly a room in the fast world, whether or not `check` lets it go."""
+    """Fly a room in the fast world, whether `check` accepts the room or not."""
     refused, mission = list(refusals(point.case["room"])), mission_of(dict(point.case))
     watched = WatchedFlight(mission, seed, draw_world(mission, seed, point.spreads))
     verdict = watched.run()
@@ -123,7 +123,7 @@ _HEADS = (
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for the rooms let go, and one for each reason to refuse a room."""
+    """Return a table with a row for the accepted rooms, and one for each reason to refuse a room."""
     groups: dict[str, list[JudgedRow]] = {}
     for r in rows:
         groups.setdefault(", ".join(f"`{item}`" for item in r.row.refused) or "go", []).append(r)

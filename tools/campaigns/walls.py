@@ -17,7 +17,7 @@ from tests.watched_flight import WatchedFlight, place_walls
 from tools.campaigns.results import markdown
 
 _WALL = "acrylic"
-# A wall is rotated about its centre; here the hit is 1.3 m from it, but not near the wall's end.
+# A wall is rotated about its centre. On `_BESIDE` the hit is 1.3 m from the centre, but not near the end.
 _SHIPPED = "point_m: [1.65, 0.5], normal: [-1.0, 0.0], length_m: 3.0"
 _BESIDE = "point_m: [1.65, -0.5], normal: [-1.0, 0.0], length_m: 4.0"
 

@@ -1,4 +1,4 @@
-"""Campaign: the optimum with and without hits of every generated map, under each set of limits."""
+"""Campaign: the optimum of every generated map with and without hits, under each set of limits."""
 
 from __future__ import annotations
 

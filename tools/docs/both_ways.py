@@ -33,7 +33,7 @@ from tools.docs.animation import shrink
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"
 _LOOK = Look(6.6, 8.5)
-_FRAMES_PER_S, _HOLD = 12, 18  # frames at the end
+_FRAMES_PER_S, _HOLD = 12, 18  # `_HOLD`: frames at the end
 _BEFORE_S = 0.3
 _LINES = {COLLIDING: TRUE, FREE: ESTIMATED}
 
@@ -135,7 +135,7 @@ class FlownBothWays:
 
     @property
     def moments(self) -> list[float]:
-        """The times of the frames by the clocks; the last one is held."""
+        """The times of the frames on the flights' clocks; the last time is repeated."""
         last = max(way.rest_s for way in self.ways)
         times = np.arange(-_BEFORE_S, last + 1.0 / _FRAMES_PER_S, 1.0 / _FRAMES_PER_S)
         return [*map(float, times), *[float(times[-1])] * _HOLD]

@@ -36,7 +36,7 @@ FOLDER = ROOT / "docs" / "img"
 # Lines differ in darkness and dash, so that they remain distinct in grey.
 DARK, MIDDLE, LIGHT = "#000000", "#0072B2", "#999999"
 SOLID, DASHED, DOTTED = "-", (0, (5, 2)), (0, (1, 1.5))
-# Free places in the figure of the dual collision.
+# Free places for the walls' names in the figure of the dual collision.
 _WALL_LABELS = {"wood": (-0.5, -1.52), "acrylic": (2.2, 0.5)}
 _IMPACT_LABELS = ((-0.75, -0.12), (0.4, 0.37))
 _STYLE = {

@@ -19,7 +19,7 @@ _COLUMN, _WIDTH = 40, 110
 
 
 class _Line(NamedTuple):
-    """A key's line: index of its first row and of the row after its comment, code, and comment."""
+    """A key's line: its first row, the row after its comment, its code, and its comment."""
 
     first: int
     end: int

@@ -95,7 +95,7 @@ def _with_no_lock(schema: Schema) -> Schema:
 
 
 def _draft_7(node: Any) -> Any:
-    """Convert fixed-length lists to draft 7, in which everything else is the same."""
+    """Convert fixed-length lists to draft 7; everything else is already valid in draft 7."""
     if isinstance(node, list):
         return [_draft_7(item) for item in node]
     if not isinstance(node, dict):

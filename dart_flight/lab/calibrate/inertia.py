@@ -55,8 +55,8 @@ class AxisInertia(msgspec.Struct):
         axis: roll (forward), pitch (right) or yaw (down).
         value, low, high: the estimate and its 95 % interval, or None if the flights do not determine the
             inertia.
-        torque_nm: standard deviation, from window to window, of the motors' mean torque.
-        rate_change_rad_s: standard deviation, from window to window, of the rate's change.
+        torque_nm: standard deviation of the motors' mean torque over the windows.
+        rate_change_rad_s: standard deviation of the rate's change over the windows.
         explained: fraction of the variance of the rate's change that the motors explain.
         refused: the reason why there is no value; empty if there is a value.
     """
@@ -240,7 +240,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the three axes' inertias, the drift, and the sum of their unexplained fractions of variance."""
+    """Return the inertias, the drift, and the unexplained fraction of variance summed over the axes."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

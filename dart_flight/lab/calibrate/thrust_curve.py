@@ -214,8 +214,8 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 
     Args:
         factor: value to use if the factor is not fitted, or if the points do not determine it.
-        exponent: exponent of the voltage; if None, it is fitted if the voltage varies. It has no effect if
-            the voltage is unknown.
+        exponent: exponent of the voltage, or None to fit the exponent if the voltage varies. If the voltage
+            is unknown, the exponent has no effect.
         fit_factor: whether to fit the factor. A result outside 0 to 1 is clipped and has no standard error.
     """
     reference = float(p.volts.mean()) if np.isfinite(p.volts).all() else None
@@ -321,7 +321,7 @@ def calibrate_thrust(tracks: Iterable[Track], vehicle: VehicleConfig) -> ThrustC
     share, kept = vehicle.thrust.square_share, vehicle.estimation.battery.exponent
     flat = not p.volts.std() >= _MIN_VOLTAGE_SPREAD * p.volts.mean()
     curve = fit_curve(p, share, kept if flat else None, fit_factor=True)
-    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the flights do not determine it
+    if curve.factor_error is None or curve.factor_error >= _FACTOR_ERROR:  # the factor is undetermined
         curve = fit_curve(p, share, kept if flat else None)
     residual = (p.force - curve.force(p)) / curve.by_volts(p)
     command = p.linear / p.motors

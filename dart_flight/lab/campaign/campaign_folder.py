@@ -148,7 +148,7 @@ def fly(
             for item, result in landings:
                 flown = flyer.failed(item, result.what) if isinstance(result, Failure) else result
                 if flown.log is not None:
-                    # The log comes before its row, so that no row lacks its log.
+                    # Write the log before its row, so that no row lacks its log.
                     write_atomically(opened.log_of(item), flown.log)
                 table.append(flown.line)
                 rows, failed = rows + 1, failed + (not flown.completed)

@@ -1,4 +1,4 @@
-"""The specification of a campaign: missions x settings x cases x seeds, and the resulting points and items.
+"""The specification of a campaign: missions x settings x cases x seeds. It results in points and flights.
 
 `dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
 (`tools/campaigns/*.yaml`) contains a specification and names a function that evaluates each flight.
@@ -177,7 +177,7 @@ def row_type(name: str) -> type[msgspec.Struct]:
 
 
 def cases_of(asked: CampaignSpec) -> tuple[dict[str, str], ...]:
-    """Return the cases of a specification, or one case without keys; all must have the same keys."""
+    """Return the cases of a specification, or one case without keys; all cases must have the same keys."""
     cases = named_function(asked.cases)() if isinstance(asked.cases, str) else asked.cases
     if any(case.keys() != cases[0].keys() for case in cases):
         raise InputError("all cases must have the same keys", key=("cases",))
@@ -278,7 +278,7 @@ def command_of(asked: CampaignSpec, point: Point, seed: int) -> str:
     """Return the command that repeats one flight of a campaign."""
     words = ["dart-flight", "dry-run", point.path, "--fast", "--seed", str(seed)]
     words += [word for setting in asked.vary for word in ("--vary", setting)]
-    for key, value in zip(asked.settings, point.values, strict=False):  # the case's values follow
+    for key, value in zip(asked.settings, point.values, strict=False):  # further values are the case's
         words += ["--set", f"{key}={value}"]
     if asked.config is not None:
         words += ["--config", asked.config]

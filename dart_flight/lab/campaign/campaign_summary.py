@@ -34,7 +34,7 @@ from dart_flight.lab.statistics import (
 from dart_flight.recording.plan_versus_flight import Deviation
 
 _MAX_FAILED = 1000  # maximum number of listed flights; the table contains all of them
-_CLEAR_Z = 4.0  # minimum significant separation of failed from completed flights, among fifty quantities
+_CLEAR_Z = 4.0  # minimum `Separation.z` that is significant if fifty quantities are compared
 _MIN_FAILED = 5
 _MAX_QUANTITIES = 4
 _MAX_OVER = 2  # maximum number of drawn quantities for one figure
@@ -117,7 +117,7 @@ class GridPoint(msgspec.Struct, frozen=True):
 
 
 class DifferingQuantity(msgspec.Struct, frozen=True):
-    """A drawn quantity that differs between completed flights and flights with the same end cause.
+    """A drawn quantity that differs between the completed flights and the flights of one end cause.
 
     Attributes:
         failed, completed: median over the flights of each group; for a word, the fraction that drew the word.
@@ -429,7 +429,7 @@ def _differing_quantities(
     for i, name in enumerate(names):
         for shown, first, second, separated in _separations(ended, fine, i, name):
             is_word = shown != name
-            # A word that completed flights drew more often only mirrors a word of the failed flights.
+            # Omit the words that completed flights drew more often.
             if abs(separated.z) < _CLEAR_Z or (is_word and separated.z < 0.0):
                 continue
             average = fmean if is_word else median
@@ -446,7 +446,7 @@ def _differing_quantities(
 def _separations(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], i: int, name: str
 ) -> Iterator[tuple[str, list[float], list[float], Separation]]:
-    """Yield name, values in both groups of flights, and separation of a drawn quantity, or of each word."""
+    """Yield the name, the values in both groups and the separation, of a quantity or of each of its words."""
     words = sorted({value for row in (*ended, *fine) if isinstance(value := row.drawn[i], str)})
     of_words: dict[str, str | None] = {f"share of {name} {word}": word for word in words}
     for shown, word in (of_words or {name: None}).items():

@@ -67,11 +67,11 @@ def _connect(url: str) -> Any:
         def __del__(self) -> None:
             """Do nothing: `_work` closes the client, and closing an unconnected client takes a minute."""
 
-    for name in ("distributed", "distributed.client"):  # the errors below replace their log messages
+    for name in ("distributed", "distributed.client"):  # the errors raised below replace their messages
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # version warnings about packages that no flight needs
+            warnings.simplefilter("ignore")  # distributed warns about packages that no flight needs
             return Client(url, timeout=_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise FlightError(f"--scheduler {url}: {_one_line(error)}") from None
@@ -151,7 +151,7 @@ def _hand_out(
         for future in landed:
             try:
                 result = _result(future)
-            except _UnfitWorkerError as error:  # a worker that joined after the check
+            except _UnfitWorkerError as error:  # this worker joined after the check
                 _refuse_unfit(client, url)
                 raise FlightError(
                     f"--scheduler {url}: {error}; completed rows are kept; continue with --resume"

@@ -69,7 +69,7 @@ class Table:
         try:
             written = os.write(self._file, line)
             if written < len(line):
-                # The disk accepted a part; writing the rest raises the reason.
+                # If the disk accepted only a part, writing the rest raises the reason.
                 os.write(self._file, line[written:])
         except OSError as error:
             os.ftruncate(self._file, self._length)

@@ -122,8 +122,8 @@ def _print(flight: InspectedFlight) -> None:
         )
     if flight.untold:
         out.print(
-            f"{flight.untold} threshold crossings may be contacts or manoeuvres (fast flight with unknown "
-            "thrust, after a crash, or below four standard deviations)",
+            f"{flight.untold} threshold crossings may be contacts or manoeuvres: in fast flight with unknown "
+            "thrust, after a crash, or with a peak below four standard deviations",
             soft_wrap=True,
         )
     for what in flight.unknown:

@@ -150,7 +150,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
     """Yield advice on a plan that fails in simulation."""
     drawn = record.drawn
     if drawn is not None and drawn.flights < flown_plan.DRAWN:
-        yield f"the other {flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change this"
+        yield f"{flown_plan.DRAWN - drawn.flights} flights were not flown: they cannot change the result"
     ways = [f"--rank {plan.rank + 1}"] if plan.rank < len(result.plans) else []
     others = {Objective.ROBUST, Objective.QUICKEST} - {result.scenario.objective}
     ways += [f"--objective {other}" for other in sorted(others)]
@@ -159,7 +159,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
-    """Return the first plan, from a given rank on, whose mission is accepted, and the refused ranks."""
+    """Return the first plan from a given rank on whose mission is accepted, and the refused ranks."""
     refused: dict[int, str] = {}
     for plan in result.plans[rank - 1 :]:
         try:
@@ -180,7 +180,7 @@ def _search_bar() -> Iterator[Progress]:
 
 
 class _Watch(FlightWatch):
-    """The simulated flights on standard error: their number, and each result as soon as it is known.
+    """A display of the simulated flights on standard error: their number, and each result when it is known.
 
     `on_output` sends the results to standard output, for calls without `--json`.
     """

@@ -14,7 +14,7 @@ from dart_flight.config.document import InputError
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    # argparse accepts -0.5 as a number but takes -5e-1 for an option; scripts print both.
+    # argparse accepts -0.5 as a number but takes -5e-1 for an option; scripts print both forms.
     parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
     parser.add_argument("--surface", help="a material of the configuration")
     parser.add_argument(

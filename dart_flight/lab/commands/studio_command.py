@@ -47,7 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dark", action="store_true", help="light colours on a dark ground")
     parser.add_argument("--no-browser", action="store_true", help="only print the page's address")
-    # Not from `cli.options`, which loads the clients of motion capture.
+    # Do not use `cli.options`: it loads the clients of motion capture.
     parser.add_argument(
         "--log-dir", type=Path, default=Path("flights"), metavar="DIR", help="default: flights"
     )
@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         for studio in started:
             studio.stop()
 
-    with StopSignals(end):  # also while the page starts: an interrupt there would leave its threads behind
+    with StopSignals(end):  # before the page starts: an interrupt of the start would leave threads
         address = (arguments.host, int(arguments.port))
         studio = Studio(opened, arguments.log_dir, address, read_only=read_only, dark=arguments.dark)
         started.append(studio)
@@ -105,13 +105,13 @@ def _open(files: list[Path]) -> OpenFile | list[Path]:
 
 
 def _first_mission() -> OpenFile:
-    """Return a copy of the shipped dual collision in this folder, which only *Save* writes."""
+    """Return a copy of the shipped dual collision for this folder; only *Save* writes the file."""
     from dart_flight.lab.studio.open_file import OpenFile
 
     shipped = packaged("missions", _FIRST)
     text = read_text(shipped)
     tree = OpenFile(shipped, text).tree
-    del tree["vehicle"]  # the default one, because the path of the shipped one does not lead there from here
+    del tree["vehicle"]  # use the default vehicle: the shipped path is relative to another folder
     names = [Path(_FIRST), *(Path(f"dual_collision_{n}.yaml") for n in range(2, 1000))]
     path = next(name for name in names if not name.exists())
     return OpenFile.new(path, update_text(text, tree, str(shipped)))

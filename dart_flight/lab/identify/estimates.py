@@ -47,14 +47,14 @@ class TrialFit(NamedTuple):
         samples_in_contact: number of position samples in contact.
         push_m_s2: controller's acceleration along the normal before and after the contact; (0, 0) if free
             flight was straight.
-        used: `guards` if the force readings were fitted with the guards, `samples` if the samples were
-            fitted, `whole` if only speeds, peak and duration were used.
+        used: `guards` if a model of the guards was fitted to the force readings, `samples` if the samples
+            were fitted, `whole` if only speeds, peak and duration were used.
         normal_out_m_s, tangential_out_m_s: velocity after the contact, measured without a contact law.
         peak_force_n: measured peak; None if no force was recorded, or the sensor clipped.
         force_delay_s: delay of the force samples' clock relative to the position samples' clock; None if
             forces or positions were not recorded.
-        misfit: ratio of the residual in contact to the noise in free flight, for the worst channel; for a fit
-            with the guards, the mean square of the residuals relative to their expected deviations.
+        misfit: ratio of the residual in contact to the noise in free flight, for the worst channel. If `used`
+            is `guards`, it is the mean square of the residuals relative to their expected deviations.
         set_aside: numbers of excluded samples.
     """
 
@@ -151,7 +151,7 @@ class Identification(NamedTuple):
     Attributes:
         coefficients: mode -> coefficient (k, f, mu, nu) -> estimate. An estimate is None if the data do not
             determine the coefficient.
-        statistical: the same without the allowance for systematic errors.
+        statistical: `coefficients` without the allowance for systematic errors.
         plane_m: recorded normal position of the vehicle's centre at first touch; None if no samples were
             fitted.
         residuals: quantity -> root mean square of its residuals, in the unit of the quantity.

@@ -40,7 +40,7 @@ _UNKNOWN = {
     "mu": "(friction) is unknown, because no trial shows friction that slows a motion along the wall",
     "nu": "(vertical force) is unknown, because no trial shows a contact that changes a vertical motion",
 }
-# Largest change of the guards' sliding speed, relative to the edge's speed at the largest turn rate
+# Largest change of the guards' sliding speed, divided by the speed that rotation gives the vehicle's edge
 # (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
 _MOST_OF_TURNING = 0.8
@@ -52,7 +52,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     """Identify the coefficients of each mode from trials (paper, Sec. IV-B and V-A).
 
     Args:
-        trials: recordings. All trials hit the same plane, and trials of one mode have the same coefficients.
+        trials: recordings. The fit assumes one plane for all, and one set of coefficients per mode.
         onset: onset rule of the fitted model; the rule affects k and f slightly.
 
     Raises:
@@ -151,7 +151,7 @@ def _widen_intervals(
     """
     shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
     notes = []
-    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of guard speed to speed along the wall
+    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of the edge's speed to the centre's
     for hit in hits:
         trial = hit.trial
         if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:

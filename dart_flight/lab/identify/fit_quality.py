@@ -30,7 +30,7 @@ from dart_flight.lab.identify.trials import Trial
 _NOISES = 3.0  # maximum ratio of a good fit's residual to the recording's noise
 _SHARE = 0.06  # allowed residual as a fraction of the contact's amplitude, for filters and simplifications
 _CONTACT_S = 0.1  # time on either side of the turn within which the contact lies
-# Medians over whole hits: twice the scatter of repeated real drops (docs/results/real_data.md).
+# Limits of median errors: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = (0.25, 0.1)  # peak force, outgoing speed
 _SAME_SPEED = 0.12  # maximum relative speed difference of repeats
 _MIN_HITS = 3
@@ -50,7 +50,7 @@ def assess_fit(
     Args:
         whole: hits that were fitted as a whole, without their samples.
         residuals: quantity -> residual of the fitted samples.
-        expected: quantity -> largest residual of a good fit; quantities without one are skipped.
+        expected: quantity -> largest residual of a good fit; other quantities are skipped.
     """
     off, most = dict(residuals), dict(expected)
     for mode, own in whole.by_mode().items():
@@ -71,8 +71,8 @@ def assess_fit(
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
     """Return the largest residuals of a good fit of these trials, by quantity.
 
-    Each is three times the noise of the recordings, or a small fraction of the quantity's change in the
-    contact (such as the penetration), whichever is larger.
+    Each is the larger of two values: three times the noise of the recordings, and a small fraction of the
+    quantity's change in the contact, such as the penetration.
     """
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}
@@ -169,7 +169,7 @@ def _by_law(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
 
 
 def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
-    """Predict peak and outgoing speed in proportion to the incoming speed, by the median of the known ratios.
+    """Predict peak and outgoing speed: the incoming speed times the median of the known ratios.
 
     If no known hit has a ratio, the prediction is NaN.
     """

@@ -73,7 +73,7 @@ def identify_trials(
     files = find_logs(paths)
     _refuse_idle_options(reading, files)
     if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in files):
-        _refuse_mode(reading, vehicle)  # no trial contains another vehicle
+        _refuse_mode(reading, vehicle)  # only flight logs contain another vehicle
     with_mass = replace(reading, mass_kg=mass_kg)
     trials = list(given) + list(
         chain.from_iterable(read_each(files, lambda path: read_trials(path, with_mass), left_out.append))
@@ -154,7 +154,7 @@ def _mass_notes(trials: Sequence[Trial], mass_kg: float, replaced: VehicleConfig
 
 
 def _refuse_idle_options(reading: TrialReading, paths: Sequence[Path]) -> None:
-    """Reject an option that applies only to a kind of file that is not among the trials."""
+    """Reject an option if it applies to none of the given files."""
     csv, ulogs = (".csv",), (".ulg", ".ulog")
     idle = {"columns": (reading.columns, csv), "wall": (reading.wall, ulogs)}
     given = {path.suffix.lower() for path in paths}

@@ -24,8 +24,8 @@ from dart_flight.lab.identify.solver import (
     stiffness_and_damping,
 )
 
-# Expected errors of outgoing over incoming speed and of the logarithms of the others. Duration and depth
-# are imprecise and count mainly without a peak.
+# Expected errors of outgoing over incoming speed, and of the logarithms of peak, duration and depth. Duration
+# and depth are imprecise, so they matter mainly if the peak is unknown.
 SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
 _PRIOR_SD = 3.0  # prior standard deviation of a logarithm; keeps undetermined coefficients near the start
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])

@@ -28,7 +28,7 @@ _WINDOW_S = 0.2  # duration of free flight used on either side of the contact
 _GUARD_S = 0.03  # interval around the turn that is excluded until the contact's extent is known
 _BEND_SD_M_S2 = 3.0  # standard deviation of a controller's acceleration before and after a wall hit
 _DEVIATES = 4.0  # number of standard deviations beyond which a position is not in free flight
-_MIN = 6  # minimum number of samples in contact for its duration and depth
+_MIN = 6  # duration and depth are measured from this number of samples in contact
 _RINGS = 0.3  # ratio of undershoot to peak beyond which the sensor or frame rings
 _DOMINATED = 0.5  # ratio of undershoot to peak beyond which the reading is useless; a wall only pushes
 _BRIDGED_S = 0.015  # maximum pause within one contact, if one corner lands before the others
@@ -75,7 +75,7 @@ class MeasuredImpact:
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """Measure the hit in a trial, which has `normal_m`, or is a drop with `specific_force_m_s2`."""
+    """Measure the hit in a trial; without `normal_m`, it must be a drop with `specific_force_m_s2`."""
     return _measure_motion(trial) if "normal_m" in trial.series else _measure_accelerometer(trial, mass_kg)
 
 
@@ -205,7 +205,7 @@ def _extent(
                 limit, free = float(time[i]), 0
             else:
                 free += 1
-                if free >= 3:  # two consecutive samples may be a crossing
+                if free >= 3:  # two small errors may be a zero crossing
                     break
         limits.append(limit)
     return min(limits[0], turn_s) - step, max(limits[1], turn_s) + step
@@ -249,7 +249,7 @@ def _measure_force(trial: Trial, begin: float, end: float) -> _ForcePulse:
     before = (time >= begin - 0.25) & (time < begin - 0.02)
     near = (time > begin - 0.05) & (time < end + 0.1)  # clocks may differ by some milliseconds
     if before.sum() < 4 or near.sum() < 3:
-        return _ForcePulse(notes=(f"{trial.name}: too few samples of normal_force_n about the contact",))
+        return _ForcePulse(notes=(f"{trial.name}: too few samples of normal_force_n around the contact",))
     level = float(np.median(value[before]))
     noise = max(deviation_of(value[before] - level), 1e-6)
     return _pulse(trial.name, time[near], value[near] - level, noise, 4.0 * float(np.median(np.diff(time))))
@@ -327,7 +327,7 @@ def _measure_accelerometer(trial: Trial, mass_kg: float) -> MeasuredImpact:
     speed, sd = _speed_of_fall(trial, _fall(time, reading, begin_at, noise), notes)
     out = _bounce(time, reading, end_at, max(_DETECTED * noise, 0.03 * largest))
     if out is not None and out > speed:
-        notes.append(f"{trial.name}: the time to the next contact is longer than any rebound takes")
+        notes.append(f"{trial.name}: the time until the next contact is too long for a rebound")
         out = None
     return MeasuredImpact(
         trial,

@@ -1,13 +1,13 @@
 """The fit of the law to the samples of several trials.
 
-One parameter vector describes all trials. They share one plane, whose position is known to one or two
-centimetres and is estimated too. The trials of a mode share its coefficients. Every trial has its own onset
-time and approach velocity, and a clock delay if it has both positions and forces. The law is the paper's
-closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
+One parameter vector describes all trials. All share one plane. Its position is known to one or two
+centimetres, and the fit estimates it. The trials of a mode share the mode's coefficients. Every trial has its
+own onset time and approach velocity, and a clock delay if it has both positions and forces. The law is the
+paper's closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
-In real flights the controller accelerates the vehicle before and after a wall contact. If this curves the
-recorded free flight, every wall hit gets three unknown constant accelerations: before, in and after the
-contact. Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
+In real flights the controller accelerates the vehicle before and after a wall contact. If the recorded free
+flight is curved, every wall hit gets three unknown constant accelerations: before, in and after the contact.
+Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from dart_flight.lab.predict.path import ContactMotion
 _PLANE_SD_M = 0.015  # prior standard deviation of the plane's position
 _PUSH_SD_M_S2 = 5.0
 PUSHES = ("before", "after")
-# Standard deviation of the controller's change in contact, which is shorter than its lag. Positions alone
-# cannot separate this change from stiffness.
+# Standard deviation of the controller's change of acceleration during a contact; small, because the contact
+# is shorter than the controller's lag. Positions alone cannot separate this change from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
 _DELAY_SD_S = 0.01  # prior standard deviation of the delay between position and force clocks
 _FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later, the recovery acts
@@ -48,7 +48,7 @@ _FIRST_SD = {
 }  # fmt: skip
 
 
-@functools.lru_cache(maxsize=64)  # most parameters of a Jacobian do not change the contact
+@functools.lru_cache(maxsize=64)  # most unknowns that a Jacobian varies leave the contact unchanged
 def _contact(
     log_k: float, log_f: float, mu: float, speed: float, acceleration: float, mass_kg: float, onset: Onset
 ) -> ContactMotion:
@@ -117,7 +117,7 @@ class FittedImpact:
         return _contact(*law, push + self.trial.acceleration_m_s2, self._problem.mass_kg, self._problem.onset)
 
     def span(self, theta: Array) -> tuple[float, float, ContactMotion]:
-        """Return (onset, release, contact) according to the law; both times count as in the recording."""
+        """Return (onset, release, contact) according to the law; the times are those of the recording."""
         contact = self.contact(theta)
         begin = float(theta[self.at["onset"]])
         return begin, begin + _duration_s(contact), contact
@@ -153,7 +153,7 @@ class FittedImpact:
         """Return what the controller's accelerations before and after the contact add to a channel."""
         late, early = np.maximum(since - end_s, 0.0), np.minimum(since, 0.0)
         before, after = (theta[self.at[f"{name[0]}_{when}"]] for when in PUSHES)
-        if name.startswith("n"):  # the contact's shape already includes its own acceleration
+        if name.startswith("n"):  # the contact's shape includes the acceleration in the contact
             after, before = after - theta[self.at["n_in"]], before - theta[self.at["n_in"]]
         if name.endswith("_s"):
             return np.asarray(after * late + before * early)
@@ -339,7 +339,7 @@ class SampleFit(LawFit):
         return max(squares / max(data - self.size, 1), 1e-12) * correlated
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return the rows of each trial as one group; with few trials, of each segment of each channel."""
+        """Return a group of rows for each trial; with few trials, for each segment of each channel."""
         found: list[NDArray[np.intp]] = []
         row = 0
         for fitted in self.hits:

@@ -19,7 +19,7 @@ _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
 _BAD_FIT = 4.0  # ratio of residual in contact to noise in free flight above which the law does not fit
-_MIN_JUDGED = 4  # minimum number of samples, in contact and in free flight, for a misfit
+_MIN_JUDGED = 4  # a misfit needs this number of samples in contact, and in free flight
 
 
 @dataclass
@@ -44,8 +44,8 @@ def fit_samples(problem: LawProblem) -> SampleResult:
     chosen = [hit for hit in problem.hits if hit.turn is not None and hit.trial.position_measured]
     few: dict[MeasuredImpact, int] = {}
     for hit in chosen:
-        # With slow sampling the measured extent of the hit, widened to whole samples, decides. With fast
-        # sampling that extent begins too late, so the fit decides.
+        # With slow sampling, count in the measured interval, which is widened to whole samples. With fast
+        # sampling this interval begins too late, so count in the fitted contact (`_with_few_samples`).
         if float(np.median(np.diff(hit.trial.normal.time_s))) > _SLOW_SAMPLING_S:
             n = max(hit.trial.samples_between(hit.begin_s, hit.end_s) - 2, 0)
             if n < _MIN_IN_CONTACT:
@@ -128,7 +128,7 @@ def _conclude(fit: SampleFit) -> SampleResult:
 
 def _friction(fit: SampleFit, halves: Array, mode: str) -> Estimate | None:
     theta, moving = fit.theta, False
-    change = 0.0  # largest deceleration exponent per unit of mu, s/m
+    change = 0.0  # largest impulse over mass, m/s; times mu, it is the exponent of the slowing
     for fitted in fit.of_mode(mode):
         if "vy" in fitted.at:
             j = fitted.at["vy"]

@@ -23,8 +23,7 @@ def _ratio(
 ) -> Estimate | None:
     """Return the median of ratios with a 95 % interval, both clipped to `least` and `most`.
 
-    The interval follows from the spread of the ratios or from their uncertainty, whichever gives the wider
-    interval.
+    The interval is the wider one of two: from the spread of the ratios, and from their uncertainty.
     """
     n = shares.size
     if not n:

@@ -23,7 +23,7 @@ from dart_flight.lab.track import calibration_series_of
 from dart_flight.lab.ulog import open_ulog
 from dart_flight.recording.reader import read_log
 
-# A trial needs one of these to contain an impact.
+# A trial needs one of these columns, which show the impact.
 _ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
 _AT_A_WALL = ("vertical_m", "tangential_force_n")  # unused in a drop
@@ -120,9 +120,9 @@ def read_csv(path: Path, reading: TrialReading) -> list[Trial]:
 def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Trial:
     """Return a trial with series in the form that the fits require.
 
-    Acceleration is converted to specific force, which excludes gravity, like an accelerometer's reading. If
-    there are positions, specific force times mass becomes force. If only the velocity was recorded, it is
-    integrated to a position, because the impact is detected in the position signal.
+    Acceleration is converted to specific force, which excludes gravity, like an accelerometer's reading. In a
+    trial with positions, the specific force is multiplied by the mass to give the force. If only the velocity
+    was recorded, it is integrated to a position, because the impact is detected in the position signal.
     """
     series = dict(series)
     acceleration = series.pop("normal_acceleration_m_s2", None)

@@ -29,14 +29,14 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_kn
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_BEYOND_THRUST = 0.5  # minimum fraction of a contact's impulse beyond the thrust, at up to 45 degrees tilt
+_BEYOND_THRUST = 0.5  # at up to 45 degrees tilt, thrust cannot explain this fraction of a contact's impulse
 REMEMBERED = 256  # number of samples for which the detector waits for a peak
-_CONFIRMED = 0.3  # minimum fitted peak over the threshold; the fit may reduce a short pulse to a third
+_CONFIRMED = 0.3  # minimum ratio of fitted peak to threshold; the fit may reduce a short pulse to a third
 _HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds
 _TOUCHDOWN_S = 3.0  # maximum time from the touch-down until PX4 reports a landing
 _FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # magnitude of specific force below which the vehicle falls
-_FALLING_S = 0.25  # averaging window of the fall
-_FALLEN_S = 1.0  # interval before the ground contact in which the fall is searched
+_FALLING_S = 0.25  # averaging window of the specific force in a fall
+_FALLEN_S = 1.0  # a fall is searched in this interval before the ground contact
 _JOLT_S = 0.02
 _CRASH_M_S2 = 5.0 * GRAVITY_M_S2
 _CRASH_LASTS_S = 3.0  # duration of a crash, including bounces
@@ -446,7 +446,7 @@ def _height(track: Track, t_s: float) -> float | None:
 
 
 def _is_certain(impact: InspectedImpact, thrust_known: bool, known_s: Array) -> bool:
-    """Return whether neither noise nor a manoeuvre explains the peak of an impact.
+    """Return whether the peak of an impact exceeds what noise and manoeuvres explain.
 
     If the thrust is unknown, hover thrust is assumed. The log must then show that the vehicle hovers, or the
     peak must exceed 5 g.

@@ -38,8 +38,8 @@ def inspect_log(
 ) -> InspectedFlight:
     """Detect the impacts in an open log, for `inspect_file`.
 
-    `listen` is called with the vehicle that the estimator uses and with the flights. It returns the function
-    that receives every estimate.
+    `listen` is called with the vehicle that the estimator uses and with the flights. `listen` returns the
+    function that receives every estimate.
     """
     refuse_other_vehicles(log)
     unknown = missing(log)

@@ -20,7 +20,7 @@ _MAX_DRAG_PER_S = 1.0
 # follow commands in 100 ms. Resolving such a change needs at least two motor outputs in this time.
 _THRUST_CHANGES_S = 0.1
 THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
-_JITTER = 1.5  # maximum number of periods between motor outputs without a missing output
+_JITTER = 1.5  # if an interval between motor outputs has more periods, an output is missing
 _FAST_M_S = 99.0
 
 

@@ -135,7 +135,7 @@ class ContactMotion:
         self.turn_s = float(events.turn) / self._omega if self.has_contact else 0.0
         early = onset is Onset.LCP
         self.onset_m = -coefficients.lead_s * normal_m_s if early else 0.0
-        # Quadrature stops when the force has decayed, which near critical damping is long before the release.
+        # Quadrature stops when the force has decayed: near critical damping, long before the release.
         zeta = float(self._course.zeta)
         slowest = min(zeta, 1.0 / (zeta + math.sqrt(max(zeta * zeta - 1.0, 0.0)))) if zeta > 0.0 else 1.0
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))
@@ -173,7 +173,7 @@ class ContactMotion:
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity that the vertical force causes, m/s, along the force and for nu = 1 N.
+        """Return the velocity caused by the vertical force, along this force, m/s, for nu = 1 N.
 
         The velocity is proportional to nu.
         """
@@ -181,7 +181,7 @@ class ContactMotion:
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement that the vertical force causes, m, along the force and for nu = 1 N.
+        """Return the displacement caused by the vertical force, along this force, m, for nu = 1 N.
 
         The displacement is proportional to nu.
         """

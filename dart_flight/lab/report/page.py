@@ -34,8 +34,8 @@ from dart_flight.lab.report.render import Cell, Number, PageTable, Row, asset, p
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 
-# A smaller disagreement of peak forces does not identify k: 20 % of k changes the peak by twice as much. One
-# flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
+# A disagreement of peak forces below `AGREES` is no evidence against k, because 20 % of k changes the peak by
+# 10 %. A single hit has no spread, so `_ALONE` allows for the error of the measured velocity, up to 4 %.
 AGREES, _ALONE = 0.05, 0.1
 _MAIN_ROWS = ("normal velocity", "peak force", "peak normal force", "peak friction force", "contact time")
 _PLAN_HEADS = ["", "planned", "flown", "tolerance", "within"]
@@ -150,7 +150,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     if first.verdict.mission != other.verdict.mission:
         return ""
     flown = [flight.mission for flight in (first, other)]
-    # Users know the keys of the file; a log of an earlier version has only the resolved parts.
+    # Name keys of the file, which users know. The log of an earlier version has only the resolved parts.
     trees = [mission.written.tree for mission in flown if mission.written is not None]
     if len(trees) < len(flown) or trees[0] == trees[1]:
         trees = [msgspec.to_builtins(mission) for mission in flown]

@@ -63,7 +63,7 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The error of the measured value relative to the true, or else the predicted or planned value.
+        """The measured value's error relative to the true value, or else the predicted or planned value.
 
         It is None for a velocity near 0, because the ratio is meaningless.
         """

@@ -23,7 +23,7 @@ from dart_flight.lab.figure_style import as_svg
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-Cell = str | float | int | dict[str, Any] | None  # a dictionary has a command and the log that it reproduces
+Cell = str | float | int | dict[str, Any] | None  # a dictionary has a command and the log of its flight
 Row = Sequence[Cell] | str  # a string is a heading above the rows that follow
 
 

@@ -103,7 +103,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """For each of `at_s`, return the index of the latest entry of `times` up to then, and if one exists."""
+    """Return the index of the latest of `times` up to each of `at_s`, and whether there is such a time."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 

@@ -1,5 +1,5 @@
 """A flight in the standard schemas of Foxglove, Lichtblick and Rerun, for the live view and for exports.
 
-This package requires foxglove-sdk (extra `live`), except for `downsampling`, which runs in the flight's own
+This package requires foxglove-sdk (extra `live`). Only `downsampling` does not: it runs in the flight's own
 process.
 """

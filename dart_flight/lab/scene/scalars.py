@@ -16,13 +16,13 @@ class VehicleState(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/state"
     t_us: int
     x_m: float  # along the mission's heading
-    y_m: float  # to the left of this axis
+    y_m: float  # to the left of the mission's heading
     height_m: float  # above the take-off point
     speed_m_s: float
     tilt_deg: float
     phase: str
     arms: str  # rigid, flexible, travelling, fault or unknown, from the lock's reported state
-    horn_share: float  # fraction of the lock servo's travel: 0 flexible end, 1 rigid end or without a lock
+    horn_share: float  # lock servo: 0 at the flexible end, 1 at the rigid end; 1 without a lock
     battery_v: float | None
     battery_remaining: float | None
 
@@ -33,8 +33,8 @@ class ForceState(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/force"
     t_us: int
     force_n: float  # magnitude
-    normal_n: float  # out of the nearest wall
-    along_n: float  # along that wall, positive to the right when looking out of the wall
+    normal_n: float  # component along the outward normal of the nearest wall
+    along_n: float  # component along this wall, positive to the right for a view out of the wall
     up_n: float
     clipped: bool
 
@@ -45,8 +45,8 @@ class TrueForce(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/flight/true_force"
     t_us: int
     force_n: float  # magnitude
-    normal_n: float  # out of the nearest wall
-    along_n: float  # along that wall, positive to the right when looking out of the wall
+    normal_n: float  # component along the outward normal of the nearest wall
+    along_n: float  # component along this wall, positive to the right for a view out of the wall
     up_n: float
 
 

@@ -27,9 +27,9 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import fly_fast_many, summarise
 from dart_flight.sim.draws import parse_vary
 
-DRAWN, FIRST_SEED = 20, 700_001  # campaigns and tests begin at seed 1
+DRAWN, FIRST_SEED = 20, 700_001  # far from the seeds of campaigns and tests
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
-LEAST_SAVING = 0.01  # minimum predicted saving worth simulating, as a fraction of the free flight's time
+LEAST_SAVING = 0.01  # minimum predicted saving for simulated flights, as a fraction of the free time
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.
@@ -100,7 +100,7 @@ def fly_mission(
     """Fly a mission once nominally. If that flight succeeds, fly the mission in twenty drawn worlds.
 
     As soon as the flights of the first seeds decide that the plan fails, the remaining flights are skipped.
-    `name` is the plan in messages. Ctrl-C raises `RunsInterruptedError`.
+    `name` is the plan's name in messages. Ctrl-C raises `RunsInterruptedError`.
     """
     (first,) = fly(mission, [FIRST_SEED], {}, lambda verdict: None)
     nominal = NominalFlight(
@@ -203,7 +203,7 @@ class _Candidate(NamedTuple):
 
     Attributes:
         key: `free`, `colliding` or `touched`.
-        name: the plan in messages.
+        name: name of the plan in messages.
     """
 
     key: str

@@ -80,7 +80,7 @@ def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | N
     off_m = 0.0 if hit else _BEFORE_WALL_M
     keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))
     parts = (Part(Cruise(seen, (-speed_m_s * nx, -speed_m_s * ny)), keep), Part(hit, keep), Part(None, keep))
-    # The cruise speed also limits the acceleration phase before it.
+    # The cruise speed also limits the phase in which the vehicle accelerates to the cruise.
     limits = msgspec.structs.replace(MotionLimits.from_scenario(scenario), speed_m_s=speed_m_s / _AT_LIMIT)
     problem = Problem(
         scenario.vehicle,

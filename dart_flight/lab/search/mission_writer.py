@@ -93,7 +93,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
     measure each wall's direction and vertical force. If the assumed direction is wrong, a hit turns the
     vehicle. Without touches, a first hit succeeds only at up to 2 m/s (docs/results/faster_hits.md).
     """
-    modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # a wall's first hit decides
+    modes = {hit["wall"]: hit["mode"] for hit in reversed(collisions)}  # the mode of each wall's first hit
     touches = [
         {
             "wall": wall,
@@ -108,7 +108,7 @@ def _with_touches(collisions: list[dict[str, Any]], speed_m_s: float, start: Vec
 
 
 def _rounded(leg: TrajectoryPieces) -> dict[str, Any]:
-    """Return a trajectory with rounded numbers, which moves its end by a few micrometres."""
+    """Return a trajectory with rounded numbers; rounding moves its end by a few micrometres."""
     pieces = [[round(t, 5), round(jx, 4) + 0.0, round(jy, 4) + 0.0] for t, jx, jy in leg.pieces]
     vectors = ("position_m", "velocity_m_s", "acceleration_m_s2")
     return {name: [round(v, 5) + 0.0 for v in getattr(leg, name)] for name in vectors} | {"pieces": pieces}
@@ -181,7 +181,7 @@ def planned_mission(scenario: Scenario, plan: Plan, text: str | None = None) -> 
         mission = parse_mission(document, scenario.vehicle)
         refuse_unflyable(mission)
     except InputError as error:
-        # The line of the error is a line of the plan's mission, which is not a file yet.
+        # Omit the error's line number: it refers to the plan's mission, which is not a file yet.
         raise RefusedPlanError(error.message, source=f"plan of {source}", key=error.key) from None
     return mission
 

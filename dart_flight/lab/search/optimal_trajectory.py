@@ -42,13 +42,13 @@ _ANY_JERK_M_S3 = 200.0  # jerk limit if none is given
 _LONGEST_S = 30.0  # maximum duration of a part
 _LEAST_S = 0.05  # initial guess of a part's shortest duration
 _FORCE_USED = 0.8  # fraction of limits.peak_force_n, because the stiffness is known to about 15 %
-_FRICTION_RATIO = 0.5  # default limit; low, because friction was measured at only 0.5 m/s
-_SMOOTH = 1e-5  # s per (m/s3)^2 s; prefers the smoother of two equally fast flights
+_FRICTION_RATIO = 0.5  # low default limit, because friction was measured at only 0.5 m/s
+_SMOOTH = 1e-5  # cost of jerk, s per (m/s3)^2 s: selects the smoother of two equally fast flights
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # initial guess of a hit's speed and of its restitution
 _THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`
 _SOLVER: dict[str, Any] = {
     "print_time": False,
-    "no_nlp_grad": True,  # expensive, and unused by IPOPT
+    "no_nlp_grad": True,  # this gradient is expensive, and IPOPT does not use it
     "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 250},
 }
 
@@ -94,9 +94,9 @@ class ContactResponse(NamedTuple):
 
     Attributes:
         restitution: outgoing over incoming normal velocity.
-        lead_s: distance from the plane of first touch at which the force begins or ends, divided by the
-            normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane, and
-            ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
+        lead_s: distance between the plane of first touch and the place where the force begins or ends, over
+            the normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane,
+            and ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
@@ -340,7 +340,7 @@ class _GuessedEnd(NamedTuple):
 
 
 def _guessed_ends(problem: Problem) -> list[tuple[_GuessedEnd, _GuessedEnd]]:
-    """Return the guessed start and end of every part; the velocity is 0, except at hits and cruises."""
+    """Return the guessed start and end of every part, with a velocity only at hits and cruises."""
     found = []
     here = _GuessedEnd(problem.start, (0.0, 0.0))
     for part in problem.parts:

@@ -161,8 +161,8 @@ class SearchResult(msgspec.Struct, frozen=True):
     """The result of a search for plans.
 
     Attributes:
-        plans: the best plans, in order. With `quickest`, they are the fastest plan with and the fastest plan
-            without a collision; the other plan of a required sequence is second.
+        plans: the best plans, in order. With `quickest`, they are the fastest plan with a collision and the
+            fastest plan without; if the scenario requires a sequence, its plan is first.
         candidates, feasible: number of candidates, and number of feasible candidates. With `quickest`,
             candidates are sequences of collisions; sequences that their bounds rule out count as infeasible.
         trajectories: number of simulated or computed trajectories, including the draws of `robust`.

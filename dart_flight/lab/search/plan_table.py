@@ -67,7 +67,7 @@ def plan_table(result: SearchResult) -> Table:
     table = Table(
         title=f"{result.scenario.name}: best by {objective.value}",
         title_justify="left",
-        box=None,  # to fit into eighty columns with the objective robust
+        box=None,  # the table of the objective robust must fit into eighty columns
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )

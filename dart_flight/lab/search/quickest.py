@@ -1,11 +1,11 @@
 """The fastest flight from the start through the visits to the goal, with any number of hits that save time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
-sum of the contact times and of the shortest times along the straight legs of the shortest path through the
-events. The sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the
-best flight found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds
-places, velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster
-and the servo has enough time.
+contact times, plus the shortest time along each straight leg of the shortest path through the events. The
+sequence with the lowest bound is computed first. A sequence whose bound exceeds the time of the best flight
+found is not computed. For a computed sequence, optimal control (`optimal_trajectory`) finds places,
+velocities and times. Flexible arms are tried first. A hit is changed to rigid arms if this is faster and the
+servo has enough time.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of too long sequences
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of longer sequences
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)
@@ -221,7 +221,7 @@ class _Search:
         for events in self._serving_sequences():
             put(events)
             if enough():
-                self.least_open_s = 0.0  # the other sequences have no bound
+                self.least_open_s = 0.0  # the remaining sequences have no bound yet
                 break
         while open_:
             bound_s, _, events = heapq.heappop(open_)
@@ -278,7 +278,7 @@ class _Search:
                 yield more
 
     def _is_wanted(self, events: Sequence[Event]) -> bool:
-        """Return whether the events contain a hit, and exactly the demanded hits if hits are demanded."""
+        """Return whether the events contain a hit and, if hits are demanded, exactly these hits."""
         walls = _walls_hit(events)
         return bool(walls) and (not self._demanded or walls == self._demanded)
 
@@ -398,7 +398,7 @@ class _Search:
         )
 
     def _with_best_modes(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
-        """Return the events with the faster mode for each hit, examined one after the other."""
+        """Return the events with the faster mode for each hit; the hits are examined one after the other."""
         for k, mode in itertools.product(range(len(events)), self.scenario.modes):
             event = events[k]
             if isinstance(event, Hit) and event.mode is not mode:

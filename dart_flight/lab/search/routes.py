@@ -21,12 +21,12 @@ from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.optimal_trajectory import Disc, HalfPlane, Region
 from dart_flight.lab.search.scenario import Scenario
 
-_PAST_END_M = 0.12  # margin beyond half the vehicle's width, for a longer wall and for tracking errors
+_PAST_END_M = 0.12  # margin past a wall's end, in case the wall is longer, and for tracking errors
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 _AROUND = 8  # number of corners of the polyline around a post
-TOUCH_M = 0.01  # distance that a path to a place at a wall keeps from the wall's plane
+TOUCH_M = 0.01  # a path to a place at a wall keeps this distance from the wall's plane
 
 
 def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
@@ -147,8 +147,8 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    A path that begins or ends inside the disc enters only if its middle part is nearer to the centre than
-    both ends.
+    If an end of the path is inside the disc, the path enters if its middle is nearer to the centre than both
+    ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))
@@ -188,7 +188,7 @@ def _inside(a: Vec2, b: Vec2, wall: Wall) -> list[float]:
     return [min(_within(half, a), _within(half, b)) for half in _half_planes(wall)]
 
 
-_PAST_RIGHT = 2  # index of the first of `_half_planes` beyond an end
+_PAST_RIGHT = 2  # from this index on, `_half_planes` are past an end of the wall
 
 
 def _half_planes(wall: Wall) -> tuple[HalfPlane, ...]:

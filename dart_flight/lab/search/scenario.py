@@ -38,7 +38,7 @@ from dart_flight.config.vehicle import Px4Parameters, VehicleConfig
 
 _MAX_STEPS = 2001
 _MAX_CANDIDATES = 20_000_000
-_MAX_COLLISIONS = 4  # maximum number in a grid's sequence; the next limit applies to the objective quickest
+_MAX_COLLISIONS = 4  # longest sequence of a grid search; `_MAX_QUICKEST` applies to the objective quickest
 _MAX_QUICKEST = 16
 
 

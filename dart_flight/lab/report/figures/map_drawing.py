@@ -141,7 +141,7 @@ def draw_wall(axis: Any, wall: DrawnWall) -> None:
 
 
 def draw_side(axis: Any, shown: RoomMap, top_m: float) -> None:
-    """Draw a map along y, up to an altitude.
+    """Draw a map as seen along y, up to an altitude.
 
     A wall that the view shows edge-on is hatched. Other walls are plain, because the vehicle flies in front
     of them.
@@ -249,8 +249,8 @@ def view_of(shown: RoomMap, points: Array, margin_m: float = 0.45) -> Array:
     """Return the limits of a view that contains the points (n, 2 or 3) and a margin around them.
 
     The limits are [[low x, low y], [high x, high y]], metres. The view includes the nearest part of every
-    wall and post, unless that part is outside of the bounds. The view does not extend beyond the room, which
-    consists of the bounds and the walls with their names.
+    wall and post if that part is within the bounds. The view does not extend beyond the room, which consists
+    of the bounds and the walls with their names.
     """
     (x0, x1), (y0, y1) = shown.bounds.x, shown.bounds.y
     surfaces = [along(np.array(wall.surface.ends)) for wall in shown.walls]

@@ -29,7 +29,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal
 SHEET = Look(7.2, 9.0)
 _NOTE_WIDTH = 96  # width in characters of the text below the picture
 _ABOVE_M = 0.4  # margin of the side view above the flight
-_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # larger bounds are shown completely only if the flight is of a similar size
+_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # largest shown bounds: m, and multiple of the flight's size
 
 
 @in_style
@@ -110,9 +110,9 @@ def _flown_line(mission: Mission) -> str:
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
-    """Return the points that the plan view must include, without setpoints outside of the bounds.
+    """Return the points that the plan view must include: the flight without setpoints outside of the bounds.
 
-    The view includes the bounds, unless the flight would become small in it.
+    The bounds are included if the flight does not become small in the view.
     """
     b = mission.bounds
     corners = np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])

@@ -27,7 +27,7 @@ from dart_flight.lab.report.figures.map_drawing import draw_map, finish_map, set
 from dart_flight.planning.room import Room, RoomContact, RoomWall
 
 _SHEET = Look(7.2, 6.4)
-_OPEN_M = 0.7  # extension of a wall without a corner beyond its contacts
+_OPEN_M = 0.7  # a wall without a corner extends this far beyond its contacts
 _MARGIN_M = 0.4
 
 
