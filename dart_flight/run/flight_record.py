@@ -32,7 +32,7 @@ class MemoryLog:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Append a record with the number of its input, or of the input that caused it."""
+        """Append an input with its number, or another record with the number of the input that caused it."""
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class FlightRecord:
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
-        # Most records are irrelevant to the verdict and are skipped here.
+        # The verdict has no handler for most records, which are therefore skipped.
         self._handlers = self.verdict.handlers
         self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = []

@@ -119,7 +119,8 @@ class VrpnSource:
     def _read(self, link: socket.socket) -> None:
         link.sendall(_COOKIE)
         link.settimeout(None)
-        # The source sends nothing more, so only probes detect that the server has lost its network.
+        # The source sends nothing more. Without keep-alive probes, it would not notice that the server has
+        # lost its network.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)
