@@ -117,7 +117,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
         values = link.read_parameters([*hitl_parameters(), COUNT])
         values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
         if round(values.get(HITL, 0)) == 1:
-            # If HITL is off, the flight controller must be restarted, so skip the rest, which takes a minute.
+            # If HITL is off, skip these parameters: they take a minute, and a restart must follow anyway.
             values |= link.read_parameters([name for name in parameter_names() if name not in values])
             values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     return VehicleReading(mode, values)

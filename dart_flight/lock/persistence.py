@@ -133,7 +133,7 @@ class ServoDevice(NamedTuple):
     """The hardware that only one process at a time may use to move a servo.
 
     Attributes:
-        key: identifier of the hardware, the same for all of the hardware's names.
+        key: identifier of the hardware; two names of the same device have the same key.
         words: name of the hardware in messages.
     """
 
@@ -145,8 +145,8 @@ class ServoOwnership(Lease):
     """The right to move a servo.
 
     Args:
-        lasting: whether this process owns the servo until it ends, and passes it to its child processes
-            (`held_files.pass_kept`).
+        lasting: whether this process owns the servo until the process ends, and passes the servo to child
+            processes (`held_files.pass_kept`).
     """
 
     def __init__(self, device: ServoDevice, *, lasting: bool = False) -> None:

@@ -84,11 +84,11 @@ class Autopilot:
         self.motors: tuple[float, ...] = self._stopped
         self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
-        self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose by motion capture at this tick
+        self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose from motion capture at this tick
         self.fuses_own_pose = True  # False if poses arrive by `fuse_external_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
-        self.imu_stuck = False  # fault: the reported IMU sample repeats; the estimator still gets true ones
+        self.imu_stuck = False  # fault: the reported IMU sample repeats; the estimator gets true samples
         self.battery_left: float | None = None
         self._offboard: TrajectorySetpoint | None = None
         self._offboard_at_s = -math.inf
