@@ -482,7 +482,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the recorded result of the mission's simulated flights, recorded by `plan`.
+    """Return the result of the mission's simulated flights, as recorded by `plan`.
 
     Without a record, or if the mission has changed since these flights, return a remark.
     """

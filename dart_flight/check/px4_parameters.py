@@ -246,7 +246,7 @@ def _is_absent(
 
 
 def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
-    """Remove gains and IMU position from `different`; return a finding for each parameter that PX4 has."""
+    """Remove gains and IMU position from `different`; return a finding for each of them that PX4 has."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
         difference = different.pop(name, None)
@@ -297,7 +297,7 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses: motion capture before GPS, or None if PX4 fuses neither.
+    """Return the position source that PX4 fuses: motion capture if PX4 fuses both, None if it fuses none.
 
     Args:
         values: parameters read from the vehicle.

@@ -61,7 +61,8 @@ def read_vehicle(
 ) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
 
-    Meanwhile, `answer` responds to the ground station's buttons; if it is None, they get no response.
+    During the reading, `answer` responds to the ground station's buttons. If `answer` is None, the buttons
+    get no response.
 
     Raises: EndOfStageError: the autopilot is not PX4, the link is too slow to read the parameters, or a
             parameter has no answer.

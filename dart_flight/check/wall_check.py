@@ -73,8 +73,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
         if _SAME_PLACE_M < min(gaps) < 2.0 * contact_m:
             message = (
                 f"{names} face each other at {min(gaps):.3f} m, minimum {2.0 * contact_m:.2f} m for the "
-                "vehicle: check their places; if they are one partition, their normals must point apart, and "
-                "one entry with thickness_m gives both"
+                "vehicle: check their places; if they are one partition, enter one wall with thickness_m"
             )
             yield CheckFinding("opposite_walls", False, message, figures=figures)
         elif -contact_m < max(gaps) <= _SAME_PLACE_M:

@@ -1,8 +1,8 @@
 """Persistent state of the lock: the last command to the servo, and the process that owns the servo.
 
-The last command is a file in the state folder. After a restart it shows what was requested of the servo, but
-not the position of the horn. The owner holds a file in a folder that all accounts share, because the service
-and an operator over SSH have different state folders.
+The last command is a file in the state folder. After a restart the file shows the requested position, but not
+the position of the horn. The owner holds a file in a folder that all accounts share, because the service and
+an operator over SSH have different state folders.
 """
 
 from __future__ import annotations

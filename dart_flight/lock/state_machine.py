@@ -29,7 +29,7 @@ from dart_flight.lock.servo import mode_of
 
 
 class DriverReading(msgspec.Struct, frozen=True):
-    """State that a driver reports; a switch is None if its end has none.
+    """State that a driver reports; a switch is None if that end has no switch.
 
     Attributes:
         pulse_us: current output pulse width, read from the hardware if possible. The value is None if the

@@ -1,4 +1,4 @@
-"""The search for flight logs in files and folders named on the command line; InputError if there are none."""
+"""The search for flight logs in files and folders; the functions raise InputError if there are none."""
 
 from __future__ import annotations
 

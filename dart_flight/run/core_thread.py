@@ -1,4 +1,4 @@
-"""The threads that step the core in flights over MAVSDK, from one queue of inputs and one at a time.
+"""The threads that step the core in flights over MAVSDK: one queue of inputs, one thread at a time.
 
 Only the thread that holds `_owner` steps the core. This thread also sends the setpoints, without delay. In
 real time the core chooses the thread (`core.pace`). Near a wall MAVSDK's thread, on which samples arrive,

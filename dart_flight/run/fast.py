@@ -366,7 +366,7 @@ def fly_fast(
     """Fly in process and in simulated time, and return the verdict.
 
     Args:
-        log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
+        log_dir: parent folder of the flight's folder, or None for no log on disk (campaigns).
         lock_faults: faults of the mock servo from the start of the flight, or None for faults drawn with the
             seed.
         keep_record: callback for the complete record; without `log_dir` the record's log is in memory.

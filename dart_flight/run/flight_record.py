@@ -20,7 +20,7 @@ from dart_flight.recording.verdict import TimeKind, Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
-LogPlace = Path | Literal["<memory>"] | None  # the folder for the flight's folder, memory, or nowhere
+LogPlace = Path | Literal["<memory>"] | None  # parent folder of the flight's folder, memory, or no log
 
 
 class MemoryLog:
@@ -43,7 +43,7 @@ class FlightRecord:
     """Recorder of one flight; call it once for each record, in order.
 
     Args:
-        log_dir: folder for the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
+        log_dir: parent folder of the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
         drawn: random quantities of the simulated world: name -> value.
 
     Attributes:

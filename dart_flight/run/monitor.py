@@ -47,7 +47,7 @@ from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _RATE_WINDOW_S = 1.0
 _HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
-_WORK_S = 0.05  # period of processing; logs are written at this period, and a screen needs no shorter one
+_WORK_S = 0.05  # period of processing; logs are written at this period, and a screen may be slower
 _INPUTS = get_args(Input)
 
 
@@ -119,7 +119,7 @@ class TelemetryMonitor:
         self._viewer = viewer
         self._senses = Senses(mission.vehicle)
         self._placed = frame_known
-        # Without a mission, the frame with heading 0: north, west, up.
+        # Without a mission, use the frame with heading 0: north, west, up.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if frame_known else MissionFrame())
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None

@@ -49,7 +49,7 @@ def fly_px4(
 
     Args:
         directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
-        log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
+        log_dir: parent folder of the flight's folder, which also receives PX4's ULog as `px4.ulg`.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
         fault: fault of the motion capture.

@@ -122,7 +122,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
 
     Args:
         settings: `KEY=VALUE`, keys of the vehicle configuration or of the mission (`changed_mission`).
-        exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
+        exact: whether to compare bit for bit; None selects this for a log from this kind of machine.
 
     Raises:
         InputError: the log does not contain the mission, or a setting is wrong.
@@ -293,7 +293,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
     if msgspec.structs.replace(as_written, **same) == flown:
         return msgspec.structs.replace(changed, **same)
-    # A rehearsal differs from the mission in the log's text: keep it, and change only the vehicle.
+    # The log's text has the mission without the rehearsal: keep the rehearsal, and change only the vehicle.
     if of_mission:
         raise InputError(
             "this flight was a rehearsal, so --set accepts only keys of the configuration",

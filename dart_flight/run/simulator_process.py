@@ -36,7 +36,7 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session, which continues after Ctrl-C and the end of the app.
+    """Simulated vehicle in its own process and session; it continues after Ctrl-C and the end of the app.
 
     `on_truth` is called on a separate thread.
     """

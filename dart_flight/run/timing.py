@@ -1,9 +1,10 @@
 """Real time, lockstep with a simulated world, and simulated time in process: the times of the core's shell.
 
 In lockstep (`sim.lockstep`) the world waits for the application. The application counts its unfinished tasks:
-queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, it sends a report to
-the world, which may then advance. Near a wall the world advances by one tick. Away from walls the world
-advances by 20 ms, and the core then processes the samples of these 20 ms as one batch (`core.pace`).
+queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, the application sends
+a report to the world. The world may then advance. Near a wall the world advances by one tick. Away from walls
+the world advances by 20 ms, and the core then processes the samples of these 20 ms as one batch
+(`core.pace`).
 """
 
 from __future__ import annotations

@@ -197,7 +197,7 @@ class Autopilot:
         self.pose_filter = DelayedFilter(self.estimator, self.now_s, delay_s)
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose; without effect before `use_external_poses`."""
+        """Fuse an external pose; before `use_external_poses`, do nothing."""
         if not self.fuses_own_pose:
             self.pose_filter.correct(self.now_s, position_ned, q_frd_to_ned)
 
@@ -356,8 +356,7 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` requires; GPS parameters too, because missing parameters are requested
-    # repeatedly.
+    # The values that `check` requires, also of GPS parameters: clients request missing parameters repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

@@ -68,8 +68,8 @@ class Lockstep:
             answer, so time advances while PX4 has an outstanding request. Even then, time waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 if the autopilot does
-            not send in a separate thread.
+        sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 if the autopilot sends
+            in the world's thread.
     """
 
     def __init__(

@@ -242,8 +242,8 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: fraction of the input-output difference left after one step, and its mean over
-        # the step.
+        # First-order low-pass: the fraction of the input-output difference that is left after one step, and
+        # the mean of this fraction over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
@@ -257,8 +257,8 @@ class Plant:
     def advance(self, motor_commands: Sequence[float], steps: int = 1) -> Vec3:
         """Advance by `steps` milliseconds; return the IMU's mean specific force, FRD, m/s2, without noise.
 
-        The force includes the arms' vibration. In each millisecond it passes the anti-alias filter and is
-        limited to full scale.
+        The force includes the arms' vibration. In each millisecond the force passes the anti-alias filter and
+        is limited to full scale.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -449,7 +449,7 @@ class Plant:
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = integrate_rate(q, mid_w, h)
-            # Forces at the end of this step and the beginning of the next.
+            # These forces act at the end of this step and at the beginning of the next step.
             motion = BodyMotion(p, v, q, w)
             a, b, touches = self._contact_accelerations(motion, free, torque, obstacles, near_ground)
             for (obstacle, c), one in zip(obstacles, touches, strict=True):

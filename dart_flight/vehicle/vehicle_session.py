@@ -306,7 +306,7 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request; return the unanswered requests if none arrives.
+        """Wait for the first answer to a request; return the unanswered requests if no answer arrives.
 
         The requests are TIMESYNC and, if the vehicle does not answer TIMESYNC, a rate request.
         """
@@ -427,7 +427,7 @@ class VehicleSession:
 
     def _on_status(self, **changes: Any) -> None:
         received = self._host_us()
-        pin_thread_state()  # all callbacks run on one thread, and this call is infrequent
+        pin_thread_state()  # all callbacks run on this thread, so an infrequent callback suffices
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
         )

@@ -242,7 +242,7 @@ class MotionCaptureBridge:
 
     @property
     def missing(self) -> str | None:
-        """The reason why no usable pose has arrived for 3 s, or None if one has arrived."""
+        """The reason why no usable pose has arrived for 3 s, or None if a pose has arrived."""
         return self.problem if self._clock.host_us() - self._good_us > _MISSING_US else None
 
     def start(self) -> None:

@@ -1,8 +1,8 @@
 """The interface of a pose source, the check of its poses, and the parser of a pose source's URL.
 
 A source reads one body from one motion-capture system and delivers each pose as a `RawPose`, on its own
-thread. It delivers the numbers as it reads them; the bridge calls `checked_pose` for every pose. Each system
-has one module in this package, and only that module imports the vendor's client.
+thread. The source does not check the numbers; the bridge calls `checked_pose` for every pose. Each system has
+one module in this package, and only that module imports the vendor's client.
 """
 
 from __future__ import annotations

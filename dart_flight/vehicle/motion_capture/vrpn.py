@@ -57,7 +57,7 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
 
 
 class VrpnSource:
-    """A source that reads sensor 0 of one sender, on its own thread; the body in the URL is the sender.
+    """A source that reads sensor 0 of one sender, on its own thread; the body in the URL names the sender.
 
     The constructor raises AbsentSourceError if no VRPN server answers, or the server does not list the
     sender.
@@ -119,8 +119,8 @@ class VrpnSource:
     def _read(self, link: socket.socket) -> None:
         link.sendall(_COOKIE)
         link.settimeout(None)
-        # The source sends nothing more. Without keep-alive probes, it would not notice that the server has
-        # lost its network.
+        # The source sends nothing more. Only keep-alive probes then show that the server has lost its
+        # network.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)
