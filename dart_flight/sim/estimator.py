@@ -132,7 +132,7 @@ class Estimator:
         self.ok = self.updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """Return the prediction nearest to a time; discard older ones, because measurements arrive in order."""
+        """Return the prediction nearest to a time; discard older ones, as measurements arrive in order."""
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()
