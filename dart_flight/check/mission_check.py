@@ -435,9 +435,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, message: str, first: str) -> CheckFinding:
     """Check how far a recovery setpoint lies outside the bounds.
 
-    A setpoint slightly outside is only a remark: before the setpoint, the vehicle reaches a wall, a waypoint
-    or the goal, which the text `first` names. A setpoint far outside is a no-go, because the collision's gain
-    alpha is probably wrong.
+    A setpoint slightly outside is only a remark, because the vehicle reaches `first` (a wall, a waypoint or
+    the goal) before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is
+    probably wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:

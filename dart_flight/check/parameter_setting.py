@@ -175,8 +175,8 @@ def read_differences(
         source, values = _source(link, mission, claimed, unanswered)
         if unanswered:
             remarks.append(
-                f"position source unknown, no answer for {', '.join(sorted(unanswered))}: repeat, or give "
-                "--position-from"
+                f"the position source is unknown, no answer for {', '.join(sorted(unanswered))}: "
+                "try again, or give --position-from"
             )
         wanted = wanted_parameters(mission, source)
     names = list(dict.fromkeys([*values, *unanswered]))

@@ -21,7 +21,7 @@ from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
-_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: repeat, or improve the link"
+_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: try again, or improve the link"
 
 
 class VehicleReading(msgspec.Struct, frozen=True):

@@ -67,7 +67,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
     placed = arguments.mission is not None
     load = partial(load_mission, arguments.mission) if placed else load_empty_room
     if arguments.connection is None:
-        # The log of a flight contains the vehicle, so do not load the configuration for a single flight.
+        # A flight's log contains the configuration. Load a file only to choose among several flights.
         flight = _flight(arguments.log, lambda: load(arguments.config).vehicle.connection.url)
         if flight is not None:
             return _follow(*flight, show, arguments)

@@ -129,7 +129,7 @@ class Verdict(msgspec.Struct):
     arms_moved: bool | None = None  # whether simulated arms followed the lock; None if the lock never moved
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved real-time factor
-    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from simulation ground truth
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, found in the ground truth
     other_contacts: list[OtherContact] = msgspec.field(default_factory=list)  # contacts that were not planned
 
 

@@ -88,7 +88,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 
 # --- standby -----------------------------------------------------------------------------------------------
 
-AGAIN_S: Final = 10.0  # time within which the second press of Fly must follow the first
+AGAIN_S: Final = 10.0  # the second press of Fly must follow the first press within this time
 # QGroundControl resends an unacknowledged command after 3.0 to 3.5 s, with confirmation 0 like a new press. A
 # second press at that time may therefore be a retransmission.
 _REPEATED_S: Final = (2.7, 3.8)

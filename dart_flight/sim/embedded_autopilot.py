@@ -37,7 +37,7 @@ _POSITION_EVERY: Final = 2  # ticks; PX4's position controller runs with its est
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
-_OFFBOARD_PROOF_S: Final = 0.5  # largest age of a setpoint with which offboard mode is accepted
+_OFFBOARD_PROOF_S: Final = 0.5  # offboard mode is accepted only with a setpoint younger than this
 
 
 class ImuReading:

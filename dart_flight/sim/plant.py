@@ -218,7 +218,7 @@ class Plant:
         self._reach_m = max(norm(guard.at) for guard in self._guards)
         walls = (one for one in obstacles if isinstance(one, Wall))
         self.planes = [_plane(wall, frame, self.body.guard_out_m, self._guards) for wall in walls]
-        # The point represents the vehicle's side, at a wall and at a post.
+        # A point body represents the vehicle's side, at walls and at posts.
         out_m = vehicle.airframe.contact_distance_m - self.body.guard_out_m
         posts = (one for one in obstacles if isinstance(one, Post))
         self.posts = [_standing_post(post, frame, out_m, self._guards) for post in posts]

@@ -362,15 +362,15 @@ class GroundLink:
         Args:
             names: the parameters that the vehicle lacks are missing from the result.
             progress: receives the number of parameters requested so far.
-            unanswered: receives the names of parameters whose value and absence are both unknown. If it is
-                None, such a parameter raises VehicleError.
+            unanswered: receives the names of parameters whose value and absence are both unknown. If
+                `unanswered` is None, such a parameter raises VehicleError.
         """
         lost: set[str] = set()
         values = self._parameters.read(names, progress, lost)
         if unanswered is not None:
             unanswered |= lost
         elif lost:
-            raise VehicleError(f"no answer for {', '.join(sorted(lost))}: repeat, or improve the link")
+            raise VehicleError(f"no answer for {', '.join(sorted(lost))}: try again, or improve the link")
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:

@@ -24,7 +24,7 @@ from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 
 _READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
 _LIST_S = 60.0  # timeout for the list
-_SILENT_S = 1.5  # timeout without a new entry, after which the missing entries are requested
+_SILENT_S = 1.5  # after this time without a new entry, the missing entries are requested
 _ROUNDS = 3  # after this many consecutive requests without a new entry, the list counts as complete
 _CHUNK = 40  # number of entries requested together; a slow radio would drop more
 _AGAIN, _AGAIN_S = 3, 0.5  # number of further requests for an unanswered name, and the wait after each

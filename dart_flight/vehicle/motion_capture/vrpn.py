@@ -34,7 +34,7 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
     Raise ValueError if the server does not speak VRPN.
     """
     if not stream.read(len(_COOKIE)).startswith(_VERSION):
-        raise ValueError("no cookie of VRPN 7")
+        raise ValueError("the answer does not come from a VRPN 7 server")
     types: dict[int, str] = {}
     while len(header := stream.read(_HEADER.size)) == _HEADER.size:
         length, seconds, micros, sender, kind, number = _HEADER.unpack(header)
