@@ -7,8 +7,8 @@ lazily, on first use. `docs/architecture.md` shows the folders and the path of o
 import os
 from typing import TYPE_CHECKING, Any
 
-# Set this before NumPy is first imported. On small matrices, the threads of its linear algebra only wait for
-# each other and take processor time from a flight on the same machine.
+# Set this before the first import of NumPy. NumPy's threads do not speed up small matrices, but they take
+# processor time from a flight on the same machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"

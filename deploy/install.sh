@@ -1,32 +1,32 @@
 #!/bin/sh
-# Installs dart-flight on Raspberry Pi OS 64-bit (bookworm or trixie) or another Debian, from a checkout:
+# Installs dart-flight from a checkout on 64-bit Raspberry Pi OS (bookworm or trixie) or another Debian:
 #
 #     sudo deploy/install.sh
 #
-# Program: /opt/dart-flight/venv. Configuration, missions, logs: /srv/dart-flight, kept when it exists.
-# Run it again after `git pull` to update. Needs the network for Debian's and Python's packages.
+# The program goes to /opt/dart-flight/venv. Configuration, missions and logs are in /srv/dart-flight. Existing
+# files there are kept. To update, run this script again after `git pull`. The script needs the network.
 set -eu
 
 here=$(cd "$(dirname "$0")/.." && pwd)
 venv=/opt/dart-flight/venv
 lab=/srv/dart-flight
 
-[ "$(id -u)" = 0 ] || { echo "run it with sudo" >&2; exit 2; }
+[ "$(id -u)" = 0 ] || { echo "run this script with sudo" >&2; exit 2; }
 case $(dpkg --print-architecture 2>/dev/null) in
     arm64 | amd64) ;;
-    *) echo "needs a 64-bit Debian or Raspberry Pi OS: mavsdk has no wheel for another" >&2; exit 2 ;;
+    *) echo "install a 64-bit Debian or Raspberry Pi OS: mavsdk has no wheels for other systems" >&2; exit 2 ;;
 esac
 
-apt-get update  # a fresh root has no package lists, an old one names versions that are gone
+apt-get update  # a new system has no package lists, and old lists name versions that no longer exist
 apt-get install --yes --no-install-recommends python3 python3-venv adduser
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
-    { echo "needs Python 3.11 or newer, here is $(python3 --version)" >&2; exit 2; }
+    { echo "install Python 3.11 or newer; this system has $(python3 --version)" >&2; exit 2; }
 
 python3 -m venv "$venv"
 "$venv/bin/python" -m pip install --disable-pip-version-check -c "$here/constraints.txt" "$here[sim,identify,report,live,mocap]"
 ln -sf "$venv/bin/dart-flight" /usr/local/bin/dart-flight
 
-# The account that flies: serial ports and GPIO, nothing else. Its group may edit missions.
+# The account that flies may use only serial ports and GPIO. Members of its group may edit missions.
 id dart >/dev/null 2>&1 || adduser --system --group --home "$lab" --no-create-home dart
 for group in dialout gpio; do
     getent group "$group" >/dev/null || addgroup --system "$group"

@@ -251,7 +251,7 @@ def test_the_installer_without_root_ends_with_one_line(tmp_path: Path) -> None:
         check=False,
         timeout=60,
     )
-    assert (done.returncode, done.stderr) == (2, "run it with sudo\n")
+    assert (done.returncode, done.stderr) == (2, "run this script with sudo\n")
 
 
 # --- wheels ----------------------------------------------------------------------------------------------

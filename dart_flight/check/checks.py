@@ -64,9 +64,9 @@ from dart_flight.vehicle.command_server import Press, Result
 class Stage(StrEnum):
     """The stage of a check; all checks of a stage need the same kind of inputs."""
 
-    FILE = "file"  # the mission file, without a vehicle
+    FILE = "file"  # checks of the mission file, which need no vehicle
     COMPUTER = "computer"  # the onboard computer
-    DESK = "desk"  # inherited values, and the position source that the operator claims
+    DESK = "desk"  # checks of inherited values and of the position source that the operator claims
     VEHICLE = "vehicle"
     HITL = "hardware in the loop"
 

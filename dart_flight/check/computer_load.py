@@ -26,12 +26,12 @@ _SAMPLES, _WARM = 550, 50
 _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 °C
 # Cost of the step that finds a contact's peak force, relative to a mean step (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
-_FLIGHT_FACTOR = 2.5  # cost of a step in flight (0.07 to 0.08 ms) relative to one at rest (0.03 ms)
+_FLIGHT_FACTOR = 2.5  # time of a step in flight (0.07 to 0.08 ms) relative to a step at rest (0.03 ms)
 _LEAST_MARGIN = 4.0  # minimum ratio; below it, core, log and link together need more than one processor
 
 
 def check_lateness(mission: Mission) -> CheckFinding:
-    """Measure for half a second how late this program wakes up; no-go above `guard.stream_timeout_s`."""
+    """Measure for half a second how late this program wakes up; `guard.stream_timeout_s` is the limit."""
     late_s = measure_lateness_s()
     message = f"this program lags by up to {late_s * 1e3:.0f} ms"
     if late_s <= LATE_S:

@@ -21,7 +21,7 @@ class CheckFinding(msgspec.Struct, frozen=True):
         item: name of the finding, for `--overrule`.
         go: whether the finding allows the flight.
         message: the finding as text for the operator.
-        remark: whether the finding is a remark: it allows the flight, but deviates from the recommendation.
+        remark: whether the finding allows the flight, but deviates from the recommendation.
         overruled: whether the operator has overruled this no-go.
         figures: computed values; their names contain the units.
     """

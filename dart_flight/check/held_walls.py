@@ -1,7 +1,7 @@
-"""Walls measured with the vehicle held by hand, with its guards against the left end, then the right end.
+"""Measurement of a wall: a person holds the vehicle against the wall's left end, then its right end.
 
-A vehicle that is held with both guards of a side against a wall is where its centre is at first touch. Left
-and right are as seen by a person who faces the wall.
+While both guards of a side touch the wall, the vehicle's centre is as far from the wall as at the first touch
+in flight. Left and right are those of a person who faces the wall.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TURNED_RAD: Final = math.radians(3.0)
 _TILT_RAD: Final = math.radians(6.0)
 _FLAT_RAD: Final = math.radians(12.0)  # largest angle between the wall and the side that touches it
 _NEAREST_ENDS_M: Final = 0.3
-_HAND_M: Final = 0.01  # standard deviation with which guards are held against a wall
+_HAND_M: Final = 0.01  # standard deviation of the distance between the guards and the wall
 _QUARTER: Final = 0.5 * math.pi
 
 Pose = tuple[Vec3, Quaternion]  # position NED, m, and attitude FRD to NED
@@ -44,7 +44,7 @@ class HeldPose(NamedTuple):
 
 
 def mean_pose(poses: Sequence[Pose | None], frame: MissionFrame) -> HeldPose:
-    """Return the mean pose of a measurement, in which None is a pose without a tracked body.
+    """Return the mean pose of a measurement; a None in `poses` is a pose without a tracked body.
 
     Raises:
         InputError: the vehicle was lost, has moved or was not level.
@@ -78,10 +78,10 @@ def mean_pose(poses: Sequence[Pose | None], frame: MissionFrame) -> HeldPose:
 def wall_keys(left: HeldPose, right: HeldPose, airframe: Airframe, free: Vec2 | None) -> dict[str, Any]:
     """Return the measured keys of a wall for a mission file.
 
-    `free` is a point in front of the wall, such as the mission's start, or None if none is known.
+    `free` is a point in front of the wall, such as the mission's start, or None if unknown.
 
     Raises:
-        InputError: the ends are too near, exchanged, or the vehicle did not touch the wall with a side.
+        InputError: the ends are too close or exchanged, or the vehicle did not touch the wall with a side.
     """
     (lx, ly), (rx, ry) = left.at, right.at
     apart = math.hypot(rx - lx, ry - ly)

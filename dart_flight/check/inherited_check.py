@@ -29,7 +29,7 @@ def check_inherited(mission: Mission) -> list[CheckFinding]:
 
 
 def _by_section(keys: Iterable[str]) -> str:
-    """Return keys with the name of each section written once, without their values."""
+    """Return the keys, without values, as text that names each section once."""
     sections: dict[str, list[str]] = {}
     for key in keys:
         section, _, name = key.split()[0].rpartition(".")

@@ -48,7 +48,7 @@ from dart_flight.planning.predicted_flight import (
 
 _FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
-_WEAK = 1.3  # required multiple of the detection threshold; a weaker impact may be missed
+_WEAK = 1.3  # required multiple of the detection threshold; the detector may miss a weaker impact
 _SAME_M = 1e-6
 _NOT_MEASURED = ("assumed", "[example]")  # in a material's source, these mean "not measured"
 _LEG_POINTS = 50
@@ -58,8 +58,8 @@ _PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 def predict_flight_path(mission: Mission) -> PredictedFlight | None:
     """Return the flight that the planner's model predicts.
 
-    The result is None if an approach cannot be flown (other checks report the reason), or if the position of
-    a wall is still unknown.
+    The result is None if the position of a wall is still unknown, or if an approach cannot be flown. Other
+    checks report the reason.
     """
     if any(c.wall.sought for c in mission.collisions):
         return None
@@ -435,9 +435,9 @@ def _begins_after_recovery(mission: Mission, leg: TransitSegment, collision: Col
 def _evaluate_setpoint(mission: Mission, item: str, target: Vec3, message: str, first: str) -> CheckFinding:
     """Check how far a recovery setpoint lies outside the bounds.
 
-    A setpoint slightly outside is only a remark, because the vehicle reaches something else (`first`, a text)
-    before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is probably
-    wrong.
+    A setpoint slightly outside is only a remark, because the vehicle reaches `first` (a wall, a waypoint or
+    the goal) before the setpoint. A setpoint far outside is a no-go, because the collision's gain alpha is
+    probably wrong.
     """
     outside = setpoint_outside_m(mission.bounds, target[0], target[1])
     if outside > SETPOINT_OUTSIDE_M:
@@ -482,7 +482,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
 
 
 def check_flown(mission: Mission) -> CheckFinding:
-    """Return the recorded result of the mission's simulated flights, recorded by `plan`.
+    """Return the result of the mission's simulated flights, as recorded by `plan`.
 
     Without a record, or if the mission has changed since these flights, return a remark.
     """

@@ -43,7 +43,7 @@ from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleError
 
 _MOCAP_SOURCE, _GPS_SOURCE = "EKF2_EV_CTRL", "EKF2_GPS_CTRL"  # parameters that determine the position source
 _FIX_S = 1.5
-_SETTLE_S = 3.0  # wait on the vehicle's clock; PX4's modules may limit the value up to 2 s after a write
+_SETTLE_S = 3.0  # wait in the vehicle's time; PX4's modules may limit a written value up to 2 s later
 # Values of one flight controller and its sensors. PX4's start-up script keeps most of them when it resets all
 # parameters: SYS_PARAM_VER SYS_AUTOCFG_CAL CAL_* LND_FLIGHT* TC_* COM_FLIGHT*.
 _OF_ONE_BOARD = re.compile(
@@ -59,8 +59,8 @@ class ParameterReading(msgspec.Struct, frozen=True):
 
     Attributes:
         rows: one row for each of these parameters.
-        position_from: the assumed position source, or None if the desired values are from a file or if the
-            source is unknown.
+        position_from: the assumed position source, or None if unknown, or if the desired values are from a
+            file.
         version: PX4's version, empty if not reported.
         restart_source: source of the list of parameters that need a restart, or None if there are no rows.
         states: state of each requested parameter, by name.
@@ -91,8 +91,8 @@ class WriteReport(msgspec.Struct):
         written: names whose new value was read back; without a `problem`, these are all names except
             `refused`.
         refused: reason by name.
-        problem: reason why the link was lost, or None. With a reason, `written` has the acknowledged names,
-            which were not read back.
+        problem: reason why the link was lost, or None. If the link was lost, `written` has the acknowledged
+            names, which were not read back.
     """
 
     written: list[str]
@@ -114,7 +114,7 @@ class RestoredFile(msgspec.Struct, frozen=True):
 
 
 def load_restored(path: Path, everything: bool = False) -> RestoredFile:
-    """Read a file to restore; without `everything`, omit the values of one flight controller.
+    """Read a file to restore; without `everything`, omit the values that belong to one flight controller.
 
     Raises:
         InputError: the file is wrong, or nothing remains.
@@ -147,8 +147,8 @@ def read_differences(
 
     Args:
         mission: provides the vehicle and the frame.
-        claimed: position source that the operator claims. If None, the source is motion capture if it is
-            configured; otherwise the vehicle's parameters select the source.
+        claimed: position source that the operator claims. None selects a configured motion capture, otherwise
+            the source in the vehicle's parameters.
         restored: file whose values are the desired values, or None.
         progress: receives the number of parameters read and the total number.
 
@@ -175,8 +175,8 @@ def read_differences(
         source, values = _source(link, mission, claimed, unanswered)
         if unanswered:
             remarks.append(
-                f"position source unknown, no answer for {', '.join(sorted(unanswered))}: repeat, or give "
-                "--position-from"
+                f"the position source is unknown, no answer for {', '.join(sorted(unanswered))}: "
+                "try again, or give --position-from"
             )
         wanted = wanted_parameters(mission, source)
     names = list(dict.fromkeys([*values, *unanswered]))
@@ -203,7 +203,7 @@ def read_differences(
 def _source(
     link: GroundLink, mission: Mission, claimed: PositionSource | None, unanswered: set[str]
 ) -> tuple[PositionSource | None, dict[str, Value]]:
-    """Return the position source, or None if it is unknown, and the parameters that were read for it.
+    """Return the position source, or None if unknown, and the parameters that were read to find it.
 
     Add to `unanswered` the parameters whose missing answer leaves the source unknown.
     """

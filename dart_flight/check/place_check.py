@@ -16,7 +16,7 @@ from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
 START_TOLERANCE_M: Final = 1.0  # maximum distance between a vehicle placed by hand and the mission's start
-_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # maximum error of a correct heading, minimum error of a wrong one
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # maximum error of a correct heading, minimum error of a wrong heading
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 
@@ -107,7 +107,7 @@ def _departure_problems(mission: Mission, place: Vec2, off_m: float) -> Iterator
 
 
 def _walls_facing_away(mission: Mission, place: Vec2) -> Iterator[str]:
-    """Yield the names of the walls whose back faces the vehicle, except walls that are hit only later."""
+    """Yield the names of the walls whose back faces the vehicle; omit walls that are hit only later."""
     later = {collision.wall.name for collision in mission.collisions[1:]}
     for wall in mission.walls:
         if wall.name not in later and wall.spans(place) and -wall.behind_m <= wall.signed_distance(place) < 0:

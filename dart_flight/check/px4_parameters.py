@@ -170,7 +170,7 @@ _LOCKDOWN, _LOCKDOWN_UNTIL = "COM_LKDOWN_TKO", (1, 17)  # removed after v1.17 wi
 
 
 def parameter_names(version: Version | None = None) -> list[str]:
-    """Return the parameters that these checks need, except those that a version of PX4 does not have."""
+    """Return the parameters that these checks need and that a version of PX4 has."""
     names, absent = [*PARAMETERS, *GAINS, *IMU_POSITION], set[str]()
     for source in PositionSource:
         parameters = vehicle_parameters(source)
@@ -238,7 +238,7 @@ def _is_absent(
     """Return whether this PX4 lacks a parameter; if the version is unknown, other parameters decide."""
     if version is not None:
         return missing.is_absent_in(version)
-    # If the parameter of an older version is present, its replacement is absent, and vice versa.
+    # PX4 has either the parameter of an older version or its replacement, but not both.
     when = {"before": "after", "after": "before"}.get(missing.absent.partition(" ")[0])
     return any(
         one.absent.startswith(f"{when} ") and (one.name in values) for one in wanted.values() if one.absent
@@ -246,7 +246,7 @@ def _is_absent(
 
 
 def _evaluate_configured(different: dict[str, ParameterDifference]) -> list[CheckFinding]:
-    """Remove gains and IMU position from `different`; return a finding for each parameter that PX4 has."""
+    """Remove gains and IMU position from `different`; return a finding for each of them that PX4 has."""
     findings = []
     for name in (*GAINS, *IMU_POSITION):
         difference = different.pop(name, None)
@@ -297,7 +297,7 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses: motion capture before GPS, or None if PX4 fuses neither.
+    """Return the position source that PX4 fuses: motion capture if PX4 fuses both, None if it fuses none.
 
     Args:
         values: parameters read from the vehicle.

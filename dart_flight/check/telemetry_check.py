@@ -16,7 +16,7 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # only PX4 versions before 1.14 have this parameter
-_REST_TOLERANCE = 0.3  # fraction of g; a wrong unit gives an error of a factor of ten or more
+_REST_TOLERANCE = 0.3  # tolerance as a fraction of g; a wrong unit gives a factor of ten or more
 _ARRIVES_HZ = 0.2  # minimum rate of a stream
 
 
@@ -80,7 +80,7 @@ def evaluate_sources(observed: Observation) -> list[CheckFinding]:
 
 
 def evaluate_systems(mission: Mission, observed: Observation) -> list[CheckFinding]:
-    """Compare the MAVLink system ids of vehicle, program and ground station; return what is wrong."""
+    """Compare the MAVLink system ids of vehicle, program and ground station; return the problems."""
     if observed.systems is None:
         return []
     vehicle, own = observed.systems

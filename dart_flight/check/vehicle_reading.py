@@ -21,7 +21,7 @@ from dart_flight.vehicle.command_server import Press, Result
 from dart_flight.vehicle.ground_link import GroundLink, HeartbeatMode, Observation
 
 _MEASURE_S = 3.0
-_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: repeat, or improve the link"
+_UNANSWERED = "no answer to repeated requests, so PX4's behaviour is unknown: try again, or improve the link"
 
 
 class VehicleReading(msgspec.Struct, frozen=True):
@@ -61,7 +61,8 @@ def read_vehicle(
 ) -> VehicleReading:
     """Read the parameters and telemetry that the checks of a vehicle need.
 
-    Meanwhile, `answer` responds to the ground station's buttons; if it is None, they get no response.
+    During the reading, `answer` responds to the ground station's buttons. If `answer` is None, the buttons
+    get no response.
 
     Raises: EndOfStageError: the autopilot is not PX4, the link is too slow to read the parameters, or a
             parameter has no answer.
@@ -117,7 +118,7 @@ def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
         values = link.read_parameters([*hitl_parameters(), COUNT])
         values |= link.read_parameters([WITH_IO, *IO_OUTPUTS] if ON_A_BOARD in values else [BOARD])
         if round(values.get(HITL, 0)) == 1:
-            # If HITL is off, the flight controller must be restarted, so skip the rest, which takes a minute.
+            # If HITL is off, skip these parameters: they take a minute, and a restart must follow anyway.
             values |= link.read_parameters([name for name in parameter_names() if name not in values])
             values |= link.read_parameters(rotor_names(values.get(COUNT, 0.0)))
     return VehicleReading(mode, values)

@@ -23,7 +23,7 @@ from dart_flight.planning.predicted_flight import PredictedContact, PredictedFli
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # gap below the measuring accuracy, so that the walls count as back to back
+_SAME_PLACE_M = 0.005  # gap below the measuring accuracy; such walls count as back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
@@ -56,9 +56,9 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Check that the vehicle fits between opposite walls, and that no two of them should be one partition.
+    """Check that the vehicle fits between opposite walls, and that no partition was entered as two.
 
-    Walls of a corner are not opposite, and the two faces of one partition are meant to be close.
+    Walls of a corner are not opposite. Both faces of a wall with `thickness_m` may be close.
     """
     contact_m = mission.vehicle.airframe.contact_distance_m
     surfaces = [mission.vehicle.airframe.wall_surface(wall) for wall in mission.flat_walls]
@@ -73,8 +73,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
         if _SAME_PLACE_M < min(gaps) < 2.0 * contact_m:
             message = (
                 f"{names} face each other at {min(gaps):.3f} m, minimum {2.0 * contact_m:.2f} m for the "
-                "vehicle: check their places; if they are one partition, their normals must point apart, and "
-                "one entry with thickness_m gives both"
+                "vehicle: check their places; if they are one partition, enter one wall with thickness_m"
             )
             yield CheckFinding("opposite_walls", False, message, figures=figures)
         elif -contact_m < max(gaps) <= _SAME_PLACE_M:
@@ -86,7 +85,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
-    """Return both ends of the part of `other` that lies in front of or behind `one`."""
+    """Return the two ends of that part of `other` which projects onto `one`."""
     left, right = (one.along(end) for end in other.ends)
     reach = 0.5 * one.length_m
     low, high = max(-reach, min(left, right)), min(reach, max(left, right))

@@ -110,7 +110,7 @@ def with_lock_output(
 ) -> dict[str, Parameter]:
     """If PX4 drives the lock's servo, add the parameters of the servo's output.
 
-    If a desired parameter has a bit mask, keep the bits outside the mask from the vehicle's `values`.
+    If a desired parameter has a bit mask, copy the bits outside the mask from the vehicle's `values`.
     """
     lock, found = mission.vehicle.lock, dict(wanted)
     if lock is None or lock.driver is not LockDriver.PX4:
@@ -154,7 +154,7 @@ def list_differences(
 
 
 def state_of(name: str, values: Collection[str], unanswered: Collection[str]) -> ParameterState:
-    """Return the state of a requested parameter, from the names with a value and those without an answer."""
+    """Return the state of a parameter from the names with a value and the names without an answer."""
     if name in values:
         return ParameterState.PRESENT
     return ParameterState.NOT_ANSWERED if name in unanswered else ParameterState.ABSENT

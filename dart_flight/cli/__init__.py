@@ -30,7 +30,7 @@ from dart_flight.lab_entries import load_entry
 COMMANDS = {
     "fly": "fly a mission on the vehicle",
     "dry-run": "fly a mission in simulation",
-    "campaign": "fly thousands of simulated missions into a resumable results table",
+    "campaign": "fly thousands of simulated missions and collect the results; can be resumed",
     "simulate": "run a simulated vehicle; `fly` in another terminal or a ground station connects to it",
     "check": "check a mission before a flight and, with --connection, the vehicle",
     "parameters": "list PX4's parameters that differ from the desired values, write or restore them",
@@ -62,7 +62,7 @@ RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 _OWN_OPTIONS = ("-h", "--help", "--version")
-_EXIT_S = 4.0  # timeout of the exit; a forced end takes at most one second more
+_EXIT_S = 4.0  # time for a normal exit; a forced exit takes at most one second more
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
@@ -115,7 +115,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _names(action: argparse.Action) -> list[str]:
-    """Return the names that argparse may use for an argument in its messages."""
+    """Return the names by which argparse's messages may call an argument."""
     return ["/".join(action.option_strings), str(action.metavar), action.dest]
 
 
@@ -189,7 +189,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print_status("interrupted")
         return EXIT_INTERRUPTED
-    except OSError as error:  # unexpected: print the system's message and its origin
+    except OSError as error:  # an unexpected error: print its text and its origin
         if "-vv" in arguments:
             raise
         print_status(_system_error(error))
@@ -197,7 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run() -> NoReturn:
-    """Run `dart-flight` as a program that ends at most 5 s after its command."""
+    """Run `dart-flight` and end the process at most 5 s after the command has finished."""
     exit_within(main(), _EXIT_S)
 
 

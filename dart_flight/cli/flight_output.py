@@ -46,8 +46,7 @@ class FlightLines:
         if event is None or (event.level is Level.DEBUG and not self._verbose):
             return
         self.close()
-        # Use the time of detection, so that lines are in order: a peak is detected after the time of its
-        # stamp.
+        # Show the time of detection, which keeps the lines in order. The stamp of a peak is earlier.
         self._newest_us = max(self._newest_us, getattr(record, "detected_us", getattr(record, "t_us", 0)))
         time_s = self._time.seconds(self._newest_us)
         shown = " " * 9 if time_s is None else f"{time_s:7.2f} s"
@@ -171,7 +170,7 @@ def verdict_table(verdict: Verdict) -> RenderableType:
         parts.append(_resets_line(verdict))
     if verdict.goal_reached is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_goal_line(verdict))
-    # If the vehicle broke off, the reason of the verdict is sufficient.
+    # If the mission was not completed, the verdict's reason is sufficient.
     if verdict.plan_followed is not None and verdict.outcome is Outcome.COMPLETED:
         parts.append(_plan_line(verdict))
     return Group(*parts)

@@ -116,7 +116,7 @@ def live_view(
 
 
 def _open(mission: Mission, host: str, port: int, *shown: bool) -> LiveView | None:
-    """Return the view, or None after an error, which is reported; an `InputError` is raised."""
+    """Return the view. Report an error and return None, but raise an `InputError`."""
     try:
         return LiveView(load_entry(LIVE_VIEW)(mission, host, port, *shown, print_status))
     except InputError:

@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _owned(arguments: argparse.Namespace, config: LockConfig, path: Path, link: ActuatorLink | None) -> int:
-    """Reserve the servo and carry out the action; for `status`, report another owner and the last command.
+    """Reserve the servo and carry out the action. If another process owns the servo, `status` reports it.
 
     Raises:
         ServoInUseError: another process owns the servo, and the action is not `status`.

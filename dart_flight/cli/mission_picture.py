@@ -24,8 +24,7 @@ def add_plot_option(parser: argparse.ArgumentParser) -> None:
 def write_picture(mission: Mission, path: Path) -> None:
     """Draw a mission with the planner's flight model, and print the path of the picture.
 
-    Any failure not listed below is only reported, because the flight can begin without the
-    picture.
+    All other failures are only reported, because the flight does not need the picture.
 
     Raises:
         InputError: matplotlib is missing, or the file has an unknown extension or cannot be written.

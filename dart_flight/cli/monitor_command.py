@@ -67,7 +67,7 @@ def _watch(arguments: argparse.Namespace, show: Callable[[MonitorView], None]) -
     placed = arguments.mission is not None
     load = partial(load_mission, arguments.mission) if placed else load_empty_room
     if arguments.connection is None:
-        # A flight's log contains its vehicle, so following a single flight needs no configuration.
+        # A flight's log contains the configuration. Load a file only to choose among several flights.
         flight = _flight(arguments.log, lambda: load(arguments.config).vehicle.connection.url)
         if flight is not None:
             return _follow(*flight, show, arguments)
@@ -99,7 +99,7 @@ def _flight(log: Path | None, link: Callable[[], str]) -> tuple[Path, Callable[[
     The result is None if no flight is in progress. `link` returns the URL of the configuration's link.
 
     Raises:
-        InputError: several flights are in progress, and none or more than one of them uses that link.
+        InputError: several flights are in progress, and that link does not identify one of them.
     """
     if log is not None:
         held = [holder for holder in held_links() if holder.log == printable(str(log.resolve()))]

@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
             _show(found)
         unanswered = found.names(ParameterState.NOT_ANSWERED)
         if unanswered:
-            print_status(f"no answer for {', '.join(unanswered)}: repeat, or improve the link")
+            print_status(f"no answer for {', '.join(unanswered)}: try again, or improve the link")
         rows = found.writable
         if rows and (arguments.write or arguments.restore):
             link.require_disarmed()

@@ -69,7 +69,7 @@ def download_px4_log(
             the flight, the operator must choose one.
 
     Raises:
-        InputError: several logs may belong to the flight, and there is no terminal or no valid choice.
+        InputError: several logs may belong to the flight, and the operator has not chosen one of them.
     """
     from rich.progress import Progress, TimeRemainingColumn  # slow to import
 

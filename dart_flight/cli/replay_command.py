@@ -17,7 +17,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Replay, decision_rows, replay
 
 _MAX_SHOWN = 40
-_PARTS = re.compile(r", (?![^(]*\))")  # separators, except commas within a vector
+_PARTS = re.compile(r", (?![^(]*\))")  # a comma separates two parts, but not within a vector's parentheses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,8 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Return 0 if all decisions are equal, 1 if one differs.
 
-    With --json, print one object. For several logs, `equal` states whether no decision differs, and `replays`
-    lists one object per log.
+    With --json, print one object. For several logs, `equal` states whether all decisions are equal, and
+    `replays` has one object per log.
     """
     paths = find_logs(arguments.logs)
     summaries: list[dict[str, Any]] = []

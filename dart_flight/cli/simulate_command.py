@@ -105,5 +105,5 @@ def _load_room(arguments: argparse.Namespace) -> Mission:
     vehicle = find_vehicle(arguments.config, arguments.set)
     try:
         return parse_mission(Document.load(packaged(*_DEFAULT_ROOM.parts)), vehicle)
-    except InputError:  # a vehicle without a lock or these materials cannot fly this mission
+    except InputError:  # this vehicle lacks the lock or the materials of the default mission
         return load_empty_room(arguments.config, arguments.set)

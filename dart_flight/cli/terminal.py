@@ -98,8 +98,8 @@ _OUTPUT, _MESSAGES = cast("IO[str]", _OutputStream("stdout")), cast("IO[str]", _
 def open_closed_streams() -> None:
     """Open a descriptor for each closed standard stream (`>&-`), before any file or link is opened.
 
-    Otherwise a log or serial link would get the descriptor number of the closed stream, and any text that
-    libraries print to this number would end up in the log or on the link. Writing to a closed standard output
+    Otherwise a log or serial link would get the descriptor number of a closed stream. Text that a library
+    prints to this stream would then end up in the log or on the link. Writing to a closed standard output
     still fails.
     """
     for number in _STANDARD:

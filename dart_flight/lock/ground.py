@@ -79,7 +79,7 @@ class GroundLock:
 
 
 def calibration(config: LockConfig, driver: Driver) -> Calibration:
-    """Return a calibration that starts at the servo's current pulse, or in the middle of its range."""
+    """Return a calibration that starts at the servo's current pulse or, without pulses, at mid-range."""
     reading = driver.read()
 
     def move(pulse_us: float) -> None:

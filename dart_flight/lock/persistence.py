@@ -1,8 +1,8 @@
 """Persistent state of the lock: the last command to the servo, and the process that owns the servo.
 
-The last command is a file in the state folder. After a restart it shows what was requested of the servo, but
-not the position of the horn. The owner holds a file in a folder that all accounts share, because the service
-and an operator over SSH have different state folders.
+The last command is a file in the state folder. After a restart the file shows the requested position, but not
+the position of the horn. The owner holds a file in a folder that all accounts share, because the service and
+an operator over SSH have different state folders.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ class ServoDevice(NamedTuple):
     """The hardware that only one process at a time may use to move a servo.
 
     Attributes:
-        key: identifier of the hardware, the same for all of the hardware's names.
+        key: identifier of the hardware; two names of the same device have the same key.
         words: name of the hardware in messages.
     """
 
@@ -145,8 +145,8 @@ class ServoOwnership(Lease):
     """The right to move a servo.
 
     Args:
-        lasting: whether this process owns the servo until it ends, and passes it to its child processes
-            (`held_files.pass_kept`).
+        lasting: whether this process owns the servo until the process ends, and passes the servo to child
+            processes (`held_files.pass_kept`).
     """
 
     def __init__(self, device: ServoDevice, *, lasting: bool = False) -> None:

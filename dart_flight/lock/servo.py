@@ -46,8 +46,8 @@ NO_FAULTS = ServoFaults()
 class ServoModel:
     """Model of the horn's true motion: the horn moves at constant speed to the commanded pulse width.
 
-    Without pulses the horn keeps its position by gear friction. A `t_us` before the previous `t_us` is
-    replaced by the previous one, so time never runs backwards.
+    Without pulses the horn keeps its position by gear friction. If `t_us` is before the previous `t_us`, the
+    previous time counts, so time never runs backwards.
     """
 
     def __init__(self, servo: Servo, pulse_us: float, faults: ServoFaults = NO_FAULTS) -> None:

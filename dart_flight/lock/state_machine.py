@@ -29,7 +29,7 @@ from dart_flight.lock.servo import mode_of
 
 
 class DriverReading(msgspec.Struct, frozen=True):
-    """State that a driver reports; a switch is None if its end has none.
+    """State that a driver reports; a switch is None if that end has no switch.
 
     Attributes:
         pulse_us: current output pulse width, read from the hardware if possible. The value is None if the
@@ -127,7 +127,7 @@ def status_text(state: LockState) -> str:
 
 
 def _run_start(before_us: int | None, t_us: int) -> int:
-    """Return when the current run of readings began; `t_us` if it begins now."""
+    """Return the start of the current run of readings: `before_us`, or `t_us` if the run begins now."""
     return t_us if before_us is None else before_us
 
 
@@ -141,7 +141,7 @@ class LockStateMachine:
         self.config = config
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
-        self._target: Mode | None = None  # the commanded or found mode; kept in a fault to compare readings
+        self._target: Mode | None = None  # the commanded or found mode; a fault keeps it to compare readings
         self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the current travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
@@ -168,7 +168,7 @@ class LockStateMachine:
 
         The lock adopts the end whose limit switch is closed. If no switch is closed but the hardware outputs
         the pulse of an end, the lock adopts that end. The lock then waits until one travel time after `t_us`,
-        because the servo may still move. Without such a switch or pulse, or if the inputs contradict each
+        because the servo may still move. If there is no such switch or pulse, or the inputs contradict each
         other, the lock stays `unknown`. A command stored by the last run does not prove the position of the
         horn.
         """
@@ -200,7 +200,7 @@ class LockStateMachine:
         return [SetPulse(self.config.servo.pulse_us(mode), mode)]
 
     def release(self, t_us: int) -> list[Action]:
-        """Switch the pulses off; friction then holds the horn. Refused during a travel."""
+        """Switch the pulses off; friction then holds the horn. The command is refused during a travel."""
         if self._state.phase is LockPhase.TRAVELLING:
             return self._refuse(t_us, "release", f"travelling to {self._target}")
         before = self._state.reason if self._state.phase is LockPhase.FAULT else None

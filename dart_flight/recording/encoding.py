@@ -31,7 +31,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(data: bytes, decoder: msgspec.json.Decoder[R]) -> R:
-    """Return the record in `data`; raise msgspec.MsgspecError if its type is not the decoder's."""
+    """Return the record in `data`; raise msgspec.MsgspecError if the data has another type."""
     try:
         return decoder.decode(data)
     except msgspec.ValidationError:

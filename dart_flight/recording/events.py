@@ -66,8 +66,8 @@ _SEVERITIES = {
 class EventFormatter:
     """Converts the records of a flight, in order, to events.
 
-    PX4's problems in the current flight mode are always reported. With `every_problem`, its problems in other
-    modes are also reported, as long as there are none in the current mode.
+    PX4's problems in the current flight mode are always reported. With `every_problem`, PX4's problems in
+    other modes are also reported while the current mode has none.
     """
 
     def __init__(self, every_problem: bool = False) -> None:

@@ -41,7 +41,7 @@ class Velocities(msgspec.Struct):
     Attributes:
         normal_m_s, tangential_m_s: last velocity before the contact.
         peak_force_n: peak normal force.
-        contact_side: guard that touched first (left, right or both), named for a viewer who faces the wall.
+        contact_side: guard that touched first: left, right or both, as seen by a person who faces the wall.
         incidence_deg: angle of the leading edge to the wall at the first touch, positive if the vehicle is
             turned to the left.
         peak_torque_nm: largest external torque about the centre of mass.
@@ -120,7 +120,7 @@ class FlownImpact(CollisionVerdict, kw_only=True):
     Attributes:
         onset, peak: records of the flight core; peak is None if not measured.
         contact: simulated contact, or None on the drone.
-        lock_mode: mode in which the lock was settled at the onset; rigid without a lock.
+        lock_mode: mode in which the lock was settled at the onset; rigid if the vehicle has no lock.
         recovery: recovery setpoint, mission frame, metres.
     """
 
@@ -230,7 +230,7 @@ class ImpactCollector:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
 
     def _open(self, collision: Collision, onset: ImpactOnset) -> None:
-        self._others = [other for other in self._others if other.t_us != onset.t_us]  # drop a planned contact
+        self._others = [other for other in self._others if other.t_us != onset.t_us]  # this one was planned
         normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
         self.impacts.append(
             FlownImpact(

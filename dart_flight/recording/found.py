@@ -1,4 +1,4 @@
-"""The search for flight logs in files and folders named on the command line; InputError if there are none."""
+"""The search for flight logs in files and folders; the functions raise InputError if there are none."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_each(paths: Iterable[Path], read: Callable[[Path], T], left_out: Callab
     """Return the result of `read` for every log that has the required data.
 
     `read` raises `MissingDataError` for a log without the data, and `left_out` receives one line about this
-    log. If no log has the data, the first such error is raised.
+    log. If no log has the data, the error of the first log is raised.
     """
     results: list[T] = []
     empty: list[MissingDataError] = []

@@ -97,7 +97,7 @@ def _as_written(mission: Mission, collision: Collision) -> tuple[Velocities, Vec
 def deviations(
     mission: Mission, planned: Prediction, flown: Sequence[FlownImpact], goal_miss_m: float | None
 ) -> list[Deviation]:
-    """Return a deviation for every planned value, in the mission's order, and none for a rehearsal.
+    """Return a deviation for every planned value, in the mission's order; a rehearsal has no deviations.
 
     `goal_miss_m` is None if the goal was not passed.
     """
@@ -140,7 +140,7 @@ def _compare_collision(
 
 
 def out_of_tolerance(found: Sequence[Deviation]) -> list[Deviation]:
-    """Return the deviations outside their tolerance: those without numbers, then the others by size."""
+    """Return the deviations outside their tolerance: first those without numbers, then the others by size."""
     outside = [one for one in found if not one.within]
     return sorted(outside, key=lambda one: -_excess_ratio(one))
 

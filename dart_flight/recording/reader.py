@@ -46,7 +46,7 @@ class DamagedLogError(Exception):
 
 
 class LogEntry(msgspec.Struct, frozen=True, gc=False):
-    """One record of a log; its number is that of the input, or of the input that caused the record."""
+    """One record of a log, with the number of the input, or of the input that caused the record."""
 
     number: int
     record: Record

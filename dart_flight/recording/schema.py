@@ -94,8 +94,8 @@ def _comments(kind: type[Record]) -> dict[str, str]:
 def schema(kind: type[Record]) -> dict[str, Any]:
     """Return the JSON Schema of a record.
 
-    Foxglove refuses references and unions, so there are none. No field is required: a message omits the
-    values that are missing.
+    Foxglove refuses references and unions, so the schema contains none. No field is required: a message omits
+    the values that are missing.
     """
     properties = {}
     for name, type_ in get_type_hints(kind).items():

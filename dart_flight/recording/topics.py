@@ -68,7 +68,7 @@ class Topic:
 
 
 class Topics:
-    """The channels of a log; `names` are those that have records."""
+    """The channels of a log; `names` lists the channels that have records."""
 
     def __init__(self, records: Iterable[Record]) -> None:
         found: dict[type[Record], list[Record]] = {}

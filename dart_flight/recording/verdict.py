@@ -126,10 +126,10 @@ class Verdict(msgspec.Struct):
     deviations: list[Deviation] = msgspec.field(default_factory=list)
     walls: list[MeasuredWall] = msgspec.field(default_factory=list)  # as measured by the contacts
     estimator_resets: list[ResetFigures] = msgspec.field(default_factory=list)  # in the air
-    arms_moved: bool | None = None  # whether simulated arms followed the lock; None if it never moved
+    arms_moved: bool | None = None  # whether simulated arms followed the lock; None if the lock never moved
     time: TimeKind | None = None  # None for a real vehicle
     speed: float | None = None  # achieved real-time factor
-    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, from simulation ground truth
+    uncontrolled: list[str] = msgspec.field(default_factory=list)  # reasons, found in the ground truth
     other_contacts: list[OtherContact] = msgspec.field(default_factory=list)  # contacts that were not planned
 
 
@@ -331,8 +331,8 @@ class VerdictBuilder:
     def _goal_reached(self) -> bool | None:
         """Return whether the vehicle came within the goal's capture radius, or None before the flight's end.
 
-        The distance is the miss distance if the vehicle passed the goal, or else, after a completed flight,
-        the final distance.
+        If the vehicle passed the goal, the miss distance decides. Otherwise, after a completed flight, the
+        final distance decides.
         """
         if self.end is None:
             return None

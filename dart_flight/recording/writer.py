@@ -36,7 +36,7 @@ PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MAX_PARTS = 16
 BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB per minute (docs/log.md)
 
-_FLUSH_S = 0.15  # period of flushes, each of which costs a chunk; a killed process loses one period
+_FLUSH_S = 0.15  # period of flushes; each flush costs a chunk, and a killed process loses one period
 _SYNC_S = 1.0
 _MAX_WAITING = 200_000  # maximum number of queued records; two minutes of flight without the disk
 
@@ -65,7 +65,7 @@ class LogPart:
 
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time, with the number as in `FlightLog.put`."""
-        time_ns = time_us * 1000 if time_us > 0 else 0  # MCAP has no negative times; a faulty clock may
+        time_ns = time_us * 1000 if time_us > 0 else 0  # a faulty clock may be negative, MCAP's times may not
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
@@ -101,7 +101,7 @@ class FlightLog:
 
     Attributes:
         failure: reason why the log stopped before the flight ended, or None.
-        patience_s: timeout of `close`, which waits for the disk twice, each time up to this timeout.
+        patience_s: timeout of each of the two waits for the disk in `close`.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class FlightLog:
 
     @property
     def shortfall(self) -> str | None:
-        """Description of the missing part of the log, or None."""
+        """Description of the missing part of the log, or None if the log is complete."""
         if self.failure is not None:
             return f"{self.failure}, {self.lost} records lost"
         return f"{self.lost} records lost" if self.lost else None
@@ -198,7 +198,7 @@ class FlightLog:
             return
         t_us = getattr(record, "t_us", 0)
         if t_us:
-            self._time_us = t_us  # a record without autopilot time is logged at the time of the previous one
+            self._time_us = t_us  # a record without autopilot time gets the time of the previous record
         self._part.write(record, self._time_us, number)
 
     def _rotate(self) -> None:

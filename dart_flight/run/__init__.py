@@ -2,6 +2,7 @@
 
 The `fly_*` functions return the verdict and share their arguments. `seed` determines the sensor noise and the
 random quantities `spreads` (`sim.draws`: name -> standard deviation). A flight makes its own folder in
-`log_dir`. `progress` receives every record on a separate thread (except in `fast`), and `viewer` on the
-thread that processed the record. `speed` is the highest real-time factor.
+`log_dir`. `progress` receives every record on a separate thread, but in `fast` on the flight's thread.
+`viewer` receives every record on the thread that processed the record. `speed` is the highest real-time
+factor.
 """

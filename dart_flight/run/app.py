@@ -62,7 +62,7 @@ from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # update period of the live line
-_SWITCH_INTERVAL_S = 0.001  # time after which a computing thread yields to MAVSDK's callbacks
+_SWITCH_INTERVAL_S = 0.001  # time after which a running thread must let MAVSDK's callbacks run
 _KEY_PAUSE_S = 0.5
 _LOOK_PERIOD_S = 0.5  # period of the checks for other vehicles and for the end of the simulation
 _END_GRACE_S = 0.3  # wait after the flight for the last truth and the log
@@ -188,7 +188,7 @@ class FlightApp:
             try:
                 await self._fly(source, driver, held)
             finally:
-                if source is not None and self._bridge is None:  # otherwise the bridge has stopped the source
+                if source is not None and self._bridge is None:  # a bridge stops its source itself
                     source.stop()
 
     async def _fly(
@@ -212,7 +212,7 @@ class FlightApp:
             }
             self.shell.planners = planners
             sys.setswitchinterval(_SWITCH_INTERVAL_S)
-            # Keep the loaded objects out of garbage collections in flight.
+            # Garbage collections in flight then skip the objects loaded so far.
             gc.collect()
             gc.freeze()
             terminal = threading.Thread(target=self._show, name="terminal", daemon=True)
@@ -260,7 +260,7 @@ class FlightApp:
         self._shown.append(record)
 
     def stop(self) -> None:
-        """End the flight: after the first call the vehicle lands; the second call stops the setpoints."""
+        """Land after the first call; stop the setpoints after the second call."""
         self._stops += 1
         self._stopped.set()
         request = Request.LAND if self._stops == 1 else Request.RELEASE
@@ -376,7 +376,7 @@ class FlightApp:
             session.send_message(message)
 
         def deliver(pose: PoseSample) -> None:
-            if session.clock.offset_us is not None:  # otherwise the pose has no autopilot time
+            if session.clock.offset_us is not None:  # only then can the pose get an autopilot time
                 self._core.arrive(pose)
 
         bridge = MotionCaptureBridge(self._mission.vehicle.mocap, source, send, session.clock, deliver)
@@ -435,12 +435,12 @@ class FlightApp:
         clock_us = self._autopilot_us
         self.mock = driver if isinstance(driver, MockDriver) else None
         if self._world is not None and self.mock is None and config.driver is not LockDriver.PX4:
-            # With a real servo and a simulated vehicle, a modelled horn moves the simulated arms.
+            # The servo is real but the vehicle is simulated: model the horn, which moves the simulated arms.
             driver = DriverWithModelledHorn(driver, config, clock_us)
         sent: list[float] = []
 
         def after_poll() -> None:
-            # In a dry-run the horn of the modelled servo moves the simulated arms.
+            # In a dry-run the modelled horn moves the simulated arms.
             if self._world is not None and isinstance(driver, MockDriver | DriverWithModelledHorn):
                 pulse = driver.horn_pulse_us(clock_us())
                 if sent != [pulse]:
@@ -483,7 +483,7 @@ class FlightApp:
         try:
             self._session.send(setpoint)
         except Exception as error:
-            # Do not end the core: PX4 keeps the last setpoint, then its failsafe acts.
+            # Do not end the core: PX4 keeps the last setpoint until PX4's failsafe acts.
             self._report_unsent(f"setpoint not sent: {type(error).__name__}: {error}")
             return
         self._time.sent(setpoint)
@@ -501,7 +501,7 @@ class FlightApp:
         assert self._session is not None
         assert self.loop is not None
         self._phase = phase
-        # `monitor` shows this text. The event loop sends it, so that setpoints do not wait.
+        # `monitor` shows this text. Setpoints must not wait, so the event loop sends the text.
         self.loop.call_soon_threadsafe(self._session.send_text, f"phase {phase}")
 
     def fall_silent(self) -> None:
@@ -533,5 +533,5 @@ def _in_background(terminal: int) -> bool:
     """Return whether another job has the terminal."""
     try:
         return os.tcgetpgrp(terminal) != os.getpgrp()
-    except OSError:  # not the terminal of this session, so there is no job control
+    except OSError:  # another session's terminal: there is no job control
         return False

@@ -1,9 +1,9 @@
-"""Stepping of the core in flights over MAVSDK, with one queue of inputs and one thread at a time.
+"""The threads that step the core in flights over MAVSDK: one queue of inputs, one thread at a time.
 
 Only the thread that holds `_owner` steps the core. This thread also sends the setpoints, without delay. In
-real time the core chooses this thread (`core.pace`). Near a wall MAVSDK's thread steps the core: samples
-arrive on that thread, so no other thread has to wake up first (docs/latency.md). Away from walls the core's
-own thread steps the core.
+real time the core chooses the thread (`core.pace`). Near a wall MAVSDK's thread, on which samples arrive,
+steps the core. No other thread has to wake up first (docs/latency.md). Away from walls the core's own thread
+steps the core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
 delivers a sample also steps the core: after each sample near a wall, and after every 20 ms of simulated time
@@ -24,7 +24,7 @@ from dart_flight.vehicle.clock import host_us
 
 _TICK_S: Final = 0.02
 _STOP_S: Final = 2.0
-_BACKLOG: Final = 64  # number of queued inputs above which older samples of the state streams are dropped
+_BACKLOG: Final = 64  # if more inputs are queued, older samples of the state streams are dropped
 _STATE_STREAMS: Final = (AttitudeSample, OdometrySample, ActuatorSample)
 
 
@@ -32,7 +32,7 @@ class CoreThread:
     """Thread that steps the core with the inputs of one queue.
 
     Args:
-        alive: feeds the deadman, called at least every 20 ms unless a step hangs.
+        alive: feeds the deadman; called at least every 20 ms while no step hangs.
         after_step: callback after every step in lockstep, before the report to the world.
     """
 
@@ -44,9 +44,9 @@ class CoreThread:
     ) -> None:
         self._shell, self._time, self._alive, self._after_step = shell, shell.time, alive, after_step
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
-        self._owner = threading.Lock()  # the thread that holds it steps the core
-        self._work: set[int] = set()  # identities of queued inputs that a world in lockstep waits for
-        self._pace = Pace.BATCHED  # changed by the owner
+        self._owner = threading.Lock()  # held by the thread that steps the core
+        self._work: set[int] = set()  # in lockstep the world waits for these queued inputs, by identity
+        self._pace = Pace.BATCHED  # only the owner changes it
         self._called = threading.Event()  # wakes the core's own thread
         self._fault: BaseException | None = None
         self._stopping = False
@@ -72,18 +72,18 @@ class CoreThread:
 
         If a step is due immediately, the calling thread steps the core with the queued inputs.
         """
-        # Queue the item first: a thread that ends the batch meanwhile steps only what is in the queue.
+        # Queue the item first, so that the thread that processes the batch also steps this item.
         self._queue.put(item)
         if self._time.completes_batch(item):
             self._step_now()
 
     def _step_now(self) -> None:
-        # The owner checks the queue again after a step, so an input that arrives during the step is not lost.
+        # An input may arrive while another thread steps, so that thread checks the queue again.
         while self._in_haste and not self._queue.empty() and self._owner.acquire(blocking=False):
             try:
                 self._step_queued()
             except BaseException as fault:
-                # MAVSDK's thread would swallow the fault; the core's thread raises it, and the deadman acts.
+                # MAVSDK would swallow the exception. The core's thread raises it again, and the deadman acts.
                 self._fault, self._pace = fault, Pace.BATCHED
             finally:
                 self._owner.release()
@@ -109,7 +109,7 @@ class CoreThread:
                 self._called.clear()
             if self._fault is not None:
                 raise self._fault
-            # In lockstep this thread must not own the core: an input that arrives meanwhile would stay
+            # In lockstep this thread must not own the core: an input that arrives during that time would stay
             # queued.
             if not self._time.waits:
                 with self._owner:

@@ -24,9 +24,9 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # pause of the watcher itself, in its periods, after which it restarts its timeouts
-FEED_PERIOD_S = 0.1  # longest period of feeding; shorter periods would cost more wake-ups
-_FEEDS = 5  # feeds due within `starve_s`; all but one of them may be late
+_OWN_PAUSES = 2.0  # if the watcher itself paused for this many of its periods, it restarts its timeouts
+FEED_PERIOD_S = 0.1  # longest period of feeding; a shorter period costs more wake-ups
+_FEEDS = 5  # feeds due within `starve_s`; one of them must arrive
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
 _MAX_WORDS = 400  # longest read, in messages
@@ -45,7 +45,7 @@ class Deadman:
     """
 
     def __init__(self, starve_s: float, note: Path | None = None) -> None:
-        # A handle, because a process id may belong to another process by the time it is used.
+        # A handle stays with this process; a process id may later belong to another process.
         self._self = os.pidfd_open(os.getpid())
         self._arguments = [
             *(str(self._self), str(os.getpid()), str(starve_s)),
@@ -62,7 +62,7 @@ class Deadman:
             [sys.executable, "-I", "-S", __file__, *self._arguments],
             stdin=subprocess.PIPE,
             pass_fds=(self._self,),
-            start_new_session=True,  # the app handles Ctrl-C and a closed terminal
+            start_new_session=True,  # Ctrl-C and a closed terminal must not end the watcher
         )
         assert self._process.stdin is not None
         self._pipe = self._process.stdin.fileno()
@@ -92,7 +92,7 @@ class Deadman:
 
     def disarm(self) -> None:
         """After the flight, end the watcher without killing the app."""
-        # Keep the pipe open: the core thread may still write to its descriptor.
+        # Keep the pipe open, because the core thread may still write to the pipe.
         self._write(_LET_GO)
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)
@@ -185,7 +185,7 @@ def _watch(handle: int, pid: int, starve_s: float, note: str) -> int:
 
 
 def _read_messages() -> list[tuple[bytes, float]]:
-    """Return the messages since the last call, with their times; raise EOFError if the app has ended."""
+    """Return the new messages with their times; raise EOFError if the app has ended."""
     words: list[tuple[bytes, float]] = []
     while True:
         try:
@@ -194,7 +194,7 @@ def _read_messages() -> list[tuple[bytes, float]]:
             return words
         if not food:
             if words:
-                return words  # the next call raises EOFError
+                return words  # EOFError follows in the next call
             raise EOFError
         words += _WORD.iter_unpack(food)
 

@@ -27,7 +27,8 @@ def fly_vehicle(
     """Fly a mission with the vehicle at a connection URL and return the verdict.
 
     Args:
-        lease: lease of the link, or None to acquire a lease for this flight. The lease stores the log's path.
+        lease: lease of the link, in which the log's path is stored, or None to acquire a lease for this
+            flight.
 
     Raises:
         InputError: the log cannot be written.

@@ -39,7 +39,8 @@ def fly_embedded(
     """Fly through MAVSDK over UDP with the embedded autopilot and return the verdict.
 
     Args:
-        deadman: whether to start the deadman, which kills this program if it hangs. Used in real time only.
+        deadman: whether to start the deadman, which kills this program if the program hangs. Used in real
+            time only.
         realtime: whether simulated time advances without waiting for this program. If so, timeouts use the
             host's time.
 

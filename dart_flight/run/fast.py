@@ -52,7 +52,7 @@ from dart_flight.vehicle.clock import SimulatedTime
 if TYPE_CHECKING:
     from dart_flight.run.fast_poses import FastPoses
 
-# Offset of the host's own clock, plus 1 ms for a message: the median delay of MAVSDK's callback over UDP.
+# Offset of the host's clock, plus 1 ms for the median delay of a MAVSDK callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
 _TRUTH_EVERY: Final = 2
 _HOST_EVERY: Final = 5  # ticks of 4 ms between polls of the lock and reports of the host time (50 Hz)
@@ -100,8 +100,8 @@ class FastFlight:
         seed: seed of the sensor noise.
         observe: receives each input with the input's number. Afterwards it receives, with the same number,
             each output and note (such as `SetpointSent`) that the input causes.
-        world: simulated world that differs at random from the mission (`sim.draws`), with the faults of the
-            mock servo, or None for a world without differences.
+        world: simulated world with random differences from the mission (`sim.draws`) and with the faults of
+            the mock servo, or None for no differences.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class FastFlight:
         self.core = FlightCore(mission)
         # Latency of the simulated computer, independent of this computer's speed.
         plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
-        # Every record passes through here; without a fault, call the observer directly to save time.
+        # Without a fault, the shell calls the observer directly, because every record passes through here.
         notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
         self._clock = _FastClock(self)
         self.shell = Shell(self.core, self, notice, InProcessTime(self._clock, plan_us))
@@ -135,7 +135,7 @@ class FastFlight:
             for kind in kinds_of_requests(mission)
         }
         self._ticks = 0
-        self._connected = False  # like the app, accept no telemetry before the first answer to a request
+        self._connected = False  # the app, too, accepts telemetry only after the first answer to a request
         self._sender = TelemetrySender(self.vehicle)
         self._twin_sender: TelemetrySender | None = None
         self._texts: list[tuple[str, str]] = []
@@ -298,7 +298,7 @@ class FastFlight:
         self._last_setpoint = None
 
     def finish(self) -> None:
-        """Do nothing: the flight ends when the core has ended."""
+        """Do nothing: `run` ends when the core has ended the mission."""
 
     def _repeat(self) -> None:
         if self._last_setpoint is not None and self.host_us - self._repeated_us >= _REPEAT_US:
@@ -345,7 +345,7 @@ def time_limit_s(mission: Mission) -> float:
 
 
 def simulated_driver(mission: Mission) -> LockDriver:
-    """Return the lock driver, or `mock` without a lock; raise InputError if it cannot be simulated."""
+    """Return the lock driver, or `mock` without a lock; raise InputError for a driver without simulation."""
     driver = mission.vehicle.lock_driver or LockDriver.MOCK
     if not DRIVERS[driver].simulated:
         others = driver_names(lambda entry: entry.simulated)
@@ -366,8 +366,8 @@ def fly_fast(
     """Fly in process and in simulated time, and return the verdict.
 
     Args:
-        log_dir: folder for the flight's folder, or None for no log on disk (campaigns).
-        lock_faults: faults of the mock servo from the start of the flight, or None for those drawn with the
+        log_dir: parent folder of the flight's folder, or None for no log on disk (campaigns).
+        lock_faults: faults of the mock servo from the start of the flight, or None for faults drawn with the
             seed.
         keep_record: callback for the complete record; without `log_dir` the record's log is in memory.
 

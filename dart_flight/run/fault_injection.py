@@ -1,4 +1,4 @@
-"""Injection of one fault into a flight of the fast world. The fault may affect the link."""
+"""Injection of one fault into a flight of the fast world, or into the link of that flight."""
 
 from __future__ import annotations
 

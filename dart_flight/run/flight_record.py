@@ -20,7 +20,7 @@ from dart_flight.recording.verdict import TimeKind, Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
-LogPlace = Path | Literal["<memory>"] | None  # the folder for the flight's folder, memory, or nowhere
+LogPlace = Path | Literal["<memory>"] | None  # parent folder of the flight's folder, memory, or no log
 
 
 class MemoryLog:
@@ -32,7 +32,7 @@ class MemoryLog:
         self.log = Log(IN_MEMORY, about, {}, [], complete=True)
 
     def put(self, record: Record, number: int) -> None:
-        """Append a record with the number of its input, or of the input that caused it."""
+        """Append an input with its number, or another record with the number of the input that caused it."""
         self.log.entries.append(LogEntry(number, record))
 
     def close(self) -> None:
@@ -43,7 +43,7 @@ class FlightRecord:
     """Recorder of one flight; call it once for each record, in order.
 
     Args:
-        log_dir: folder for the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
+        log_dir: parent folder of the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
         drawn: random quantities of the simulated world: name -> value.
 
     Attributes:
@@ -66,7 +66,7 @@ class FlightRecord:
     ) -> None:
         self._world, self._seed, self._drawn = world, seed, dict(drawn or {})
         self.verdict = VerdictBuilder(mission)
-        # Most records are irrelevant to the verdict and are skipped here.
+        # The verdict has no handler for most records, which are therefore skipped.
         self._handlers = self.verdict.handlers
         self.onlookers: list[Onlooker] = []
         self.viewers: list[Onlooker] = []

@@ -80,7 +80,7 @@ def fly_hitl(
 def _leave_disarmed(mission: Mission, url: str) -> None:
     """Disarm the flight controller: when the simulated sensors stop, PX4 does not disarm by itself.
 
-    Raise FlightError if it does not answer or refuses.
+    Raise FlightError if the flight controller does not answer or refuses.
     """
     try:
         with GroundLink(url, mission.vehicle.connection.timeout_s) as link:

@@ -12,7 +12,7 @@ from dart_flight.base.records import LockCommand, LockPermission, LockPhase, Loc
 from dart_flight.lock.lock_session import LockSession
 from dart_flight.run.timing import RealTime
 
-_TRAVELLING_S, _RESTING_S = 0.01, 0.1  # polling periods: while the lock travels, and otherwise
+_TRAVELLING_S, _RESTING_S = 0.01, 0.1  # polling periods while the lock travels and while it rests
 _REAL_TIME: Final = RealTime()
 
 
@@ -22,7 +22,7 @@ class LockThread:
     In lockstep the thread polls the driver in simulated time, whenever `poll_if_due` finds a poll due.
 
     Args:
-        make_session: makes the session from a callback for each state. The thread calls it only when the
+        make_session: makes the session; the argument is a callback for each state. The thread waits until the
             autopilot's time is known, because the lock's stamps could otherwise be later than that time.
     """
 
@@ -59,7 +59,7 @@ class LockThread:
         self.thread.join(timeout=2.0)
 
     def _run(self) -> None:
-        # The lock uses the autopilot's clock, so wait until that is known.
+        # The lock's stamps are autopilot time, so wait until the autopilot's clock is known.
         while not self._clock_known():
             if self._stop.wait(_TRAVELLING_S):
                 return

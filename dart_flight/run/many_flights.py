@@ -24,7 +24,7 @@ from dart_flight.sim.draws import AS_COMMANDED, LOCK_TRUE_MODE
 
 
 class RunsSummary(msgspec.Struct):
-    """Summary of many flights; `unexplained_modes` has the findings of the function of that name by seed."""
+    """Summary of many flights; `unexplained_modes` maps a seed to the texts of `unexplained_modes()`."""
 
     runs: int
     completed: int
@@ -38,7 +38,7 @@ class RunsSummary(msgspec.Struct):
 
 
 class RunsInterruptedError(Exception):
-    """Ctrl-C, SIGTERM or SIGHUP has interrupted the flights; `verdicts` are of the completed flights."""
+    """Ctrl-C, SIGTERM or SIGHUP has interrupted the flights; `verdicts` has the completed flights."""
 
     def __init__(self, verdicts: list[Verdict]) -> None:
         super().__init__(f"interrupted after {len(verdicts)} flights")

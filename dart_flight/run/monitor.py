@@ -1,8 +1,8 @@
 """Monitor that estimates forces and detects contacts from a vehicle's telemetry. It sends no setpoints.
 
 MAVSDK's thread passes every record to `TelemetryMonitor`. Another thread processes the records in batches
-several times per second. A batch takes a third of the processor time that its records would take one by one.
-The monitor sends nothing except requests for slow streams and the poses of a motion capture. If another
+several times per second. A batch takes a third of the processor time that single records would take. The
+monitor sends nothing except requests for slow streams and the poses of a motion capture. If another
 `dart-flight` process flies over the same link, the monitor does not slow down the streams of that flight.
 `dart-flight monitor` uses this module.
 """
@@ -47,7 +47,7 @@ from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _RATE_WINDOW_S = 1.0
 _HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
-_WORK_S = 0.05  # period of processing: a faster screen is not useful, and a log is written at this period
+_WORK_S = 0.05  # period of processing; logs are written at this period, and a screen may be slower
 _INPUTS = get_args(Input)
 
 
@@ -100,7 +100,7 @@ class MonitorView(msgspec.Struct):
     cpu_percent: float
     walls: list[WallView] = msgspec.field(default_factory=list)  # only from the log of a flight
     plan: str | None = None  # result of the newest plan made in flight
-    poses: PoseFigures | None = None  # of the motion capture, after the first pose
+    poses: PoseFigures | None = None  # statistics of the motion capture, after the first pose
     pose_problem: str | None = None  # reason why no usable poses arrive
 
 
@@ -119,7 +119,7 @@ class TelemetryMonitor:
         self._viewer = viewer
         self._senses = Senses(mission.vehicle)
         self._placed = frame_known
-        # Without a mission, the frame with heading 0: north, west, up.
+        # Without a mission, use the frame with heading 0: north, west, up.
         self._senses.state.anchor(mission.frame_at((0.0, 0.0, 0.0)) if frame_known else MissionFrame())
         self.estimation, self.motors = mission.vehicle.estimation, len(mission.vehicle.airframe.motors)
         self._estimate: ForceEstimate | None = None
@@ -132,7 +132,7 @@ class TelemetryMonitor:
         self._plan: str | None = None
         self.mocap = mission.vehicle.mocap
         self._poses: PoseStatistics | None = None
-        self.bridge: MotionCaptureBridge | None = None  # while this monitor forwards poses
+        self.bridge: MotionCaptureBridge | None = None  # None while this monitor forwards no poses
         self._began_us = host_us()
         self._cpu = (time.monotonic(), time.process_time())
 
@@ -184,7 +184,7 @@ class TelemetryMonitor:
             self._poses.update(item)
         name = SAMPLED_NAME.get(type(item))
         if name is not None:
-            # The host's clock is common to all processes, so this also works for the log of a flight.
+            # All processes share the host's clock, so the ages are also correct for the log of a flight.
             self._counts[name].append(getattr(item, "received_us", 0))
         if isinstance(item, StatusText):
             self._read_text(item.text)
@@ -340,7 +340,7 @@ def monitor_log(
     end = None if seconds is None else time.monotonic() + seconds
     shown_s = -math.inf
     while end is None or time.monotonic() < end:
-        alive = flying()  # before reading, so that the last records are read
+        alive = flying()  # check before reading, so that the last records are read
         entries = log.read()
         for entry in entries:
             watcher.process_record(entry.record)

@@ -70,7 +70,7 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
     if button is Button.LAND:
         if over:
             return _denied("the flight is over")
-        # A second request to land would make a mission that is ending normally count as broken off.
+        # If a mission that is ending normally got a second request to land, it would count as broken off.
         landing = phase is Phase.LANDING
         return Reply(Result.ACCEPTED, "landing", None if landing else Request.LAND)
     if button is Button.FLY:
@@ -88,9 +88,9 @@ def reply_in_flight(press: Press, phase: Phase, lock: str) -> Reply:
 
 # --- standby -----------------------------------------------------------------------------------------------
 
-AGAIN_S: Final = 10.0  # time within which the second press of Fly must follow the first
-# QGroundControl resends an unacknowledged command after 3.0 to 3.5 s with confirmation 0, so a second press
-# in that window may be a retransmission.
+AGAIN_S: Final = 10.0  # the second press of Fly must follow the first press within this time
+# QGroundControl resends an unacknowledged command after 3.0 to 3.5 s, with confirmation 0 like a new press. A
+# second press at that time may therefore be a retransmission.
 _REPEATED_S: Final = (2.7, 3.8)
 
 
@@ -169,7 +169,7 @@ class RcSwitch:
     """The transmitter's switch for the lock: high is rigid, low is flexible.
 
     The middle position has no effect. After the start, or after a gap in the pulses, the first position also
-    has no effect. The lock moves only if the switch changes and then holds its new position.
+    has no effect. The lock moves when the switch has changed and has held its new position.
     """
 
     def __init__(self) -> None:

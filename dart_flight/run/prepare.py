@@ -21,8 +21,8 @@ from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.motion_capture import BODY, KINDS
 from dart_flight.vehicle.motion_capture.source import parse_url
 
-# Delays measured on v1.18 SITL (docs/results/faster_hits.md): from the stamp of an odometry sample to the
-# resulting attitude setpoint, and of the rate loop, as part of the attitude's lag.
+# Measured on v1.18 SITL (docs/results/faster_hits.md): the delay from the stamp of an odometry sample to the
+# resulting attitude setpoint, and the rate loop's part of the attitude's lag.
 _PX4_DELAYS_S = {"setpoint_delay_s": 0.024, "attitude_delay_s": 0.05}
 
 
@@ -60,7 +60,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-NO_MOCAP = "none"  # value of `--mocap` that switches `mocap.url` off for one command
+NO_MOCAP = "none"  # value of `--mocap`: ignore `mocap.url` for one command
 
 
 def with_mocap(mission: Mission, url: str | None) -> Mission:
@@ -96,7 +96,7 @@ def with_simulated_mocap(
         raise InputError(message, key=("--mocap",))
     if kind is not None and not simulated_source(mission) is source is PositionSource.MOCAP:
         raise InputError("this vehicle's position comes from GPS", key=("--mocap",))
-    url = None if kind is None else f"{kind}://127.0.0.1/{BODY}"  # the emulated server has a port of its own
+    url = None if kind is None else f"{kind}://127.0.0.1/{BODY}"  # the emulated server chooses its port
     mocap = msgspec.structs.replace(mission.vehicle.mocap, url=url)
     vehicle = msgspec.structs.replace(mission.vehicle, mocap=mocap)
     return msgspec.structs.replace(mission, vehicle=vehicle)
@@ -109,7 +109,7 @@ def emulated_kind(mission: Mission) -> str | None:
 
 
 def with_px4_delays(mission: Mission) -> Mission:
-    """Set `setpoint_delay_s` and `attitude_delay_s` to PX4's values where the configuration sets none."""
+    """Set `setpoint_delay_s` and `attitude_delay_s` to PX4's values if the configuration lacks them."""
     flying = mission.vehicle.flying
     own = {name: default_s for name, default_s in _PX4_DELAYS_S.items() if getattr(flying, name) is None}
     flying = msgspec.structs.replace(flying, **own)
@@ -120,7 +120,7 @@ def with_px4_delays(mission: Mission) -> Mission:
 def as_rehearsal(mission: Mission, standoff_m: float | None) -> Mission:
     """Return the rehearsal of a mission, in which the vehicle stops `standoff_m` in front of each wall.
 
-    None returns the mission unchanged.
+    If `standoff_m` is None, return the mission unchanged.
     """
     if standoff_m is None:
         return mission

@@ -19,7 +19,7 @@ _HANG_S = 60
 
 
 class ProgramFault:
-    """Onlooker that begins one fault when it is due; called on the core thread.
+    """Onlooker on the core thread that begins one fault when the fault is due.
 
     Args:
         log: path of the flight log. With the fault `disk-full`, writing to this file fails.
@@ -38,7 +38,7 @@ class ProgramFault:
         now_us = getattr(record, "t_us", 0)
         if now_us and self._trigger.is_due(now_us):
             self._begun = True
-            # For measurements in another process; all processes share the monotonic clock.
+            # Another process measures delays from this time, because all processes share the monotonic clock.
             sys.stderr.write(f"fault {self.fault.name} at monotonic {time.monotonic():.4f} s\n")
             sys.stderr.flush()
             self._begin()

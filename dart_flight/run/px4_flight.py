@@ -49,7 +49,7 @@ def fly_px4(
 
     Args:
         directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
-        log_dir: folder for the flight's folder. The flight's folder also receives PX4's ULog as `px4.ulg`.
+        log_dir: parent folder of the flight's folder, which also receives PX4's ULog as `px4.ulg`.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
         fault: fault of the motion capture.
@@ -67,7 +67,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    motors_from(values_of(parameters), mission.vehicle)  # raise InputError before PX4 starts
+    motors_from(values_of(parameters), mission.vehicle)  # raises InputError here, before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
     if viewer is not None:

@@ -5,7 +5,7 @@ the shell's notes are not inputs. On the same kind of machine, outputs must be e
 kind of machine a relative error of 1e-9 is allowed, because the mathematics library may round differently.
 
 With changed settings, the replay shows how the core decides on the recorded samples. Such a replay is open
-loop. After the first command that differs, the samples still come from a vehicle that followed the recorded
+loop: after the first command that differs, the samples still come from a vehicle that followed the recorded
 commands. `dart-flight replay` and tests use this module.
 """
 
@@ -65,11 +65,11 @@ DECISIONS = (
     MissionEnd,
 )
 TOLERANCE = 1e-9
-_IN_FLIGHT = 3  # number of last inputs in a cut log that may lack their outputs
+_IN_FLIGHT = 3  # a cut log may lack the outputs of this many last inputs
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """An output that differs from the recording; the side that lacks the output is None."""
+    """An output that differs from the recording. If one side lacks the output, that side is None."""
 
     number: int
     t_us: int
@@ -122,7 +122,7 @@ def replay(log: Log, settings: Sequence[str] = (), *, exact: bool | None = None)
 
     Args:
         settings: `KEY=VALUE`, keys of the vehicle configuration or of the mission (`changed_mission`).
-        exact: whether to compare bit for bit, or None to do so only for a log from this kind of machine.
+        exact: whether to compare bit for bit; None selects this for a log from this kind of machine.
 
     Raises:
         InputError: the log does not contain the mission, or a setting is wrong.
@@ -186,7 +186,7 @@ def _compare(
 def _pairs(
     recorded: Sequence[Record], replayed: Sequence[Record]
 ) -> list[tuple[Record | None, Record | None]]:
-    """Return pairs (recorded, replayed) of records of the same decision; their values may differ.
+    """Return pairs (recorded, replayed) that describe the same decision, with equal or different values.
 
     A record without a counterpart is paired with None.
     """
@@ -293,7 +293,7 @@ def changed_mission(log: Log, settings: Sequence[str]) -> Mission:
     same = {"source": flown.source, "vehicle_source": flown.vehicle_source}
     if msgspec.structs.replace(as_written, **same) == flown:
         return msgspec.structs.replace(changed, **same)
-    # A rehearsal differs from the mission in the log's text: keep it, and change only the vehicle.
+    # The log's text has the mission without the rehearsal: keep the rehearsal, and change only the vehicle.
     if of_mission:
         raise InputError(
             "this flight was a rehearsal, so --set accepts only keys of the configuration",

@@ -86,7 +86,7 @@ class Core(Protocol):
 
     @property
     def pace(self) -> Pace:
-        """Whether the core must process the next inputs in batches or immediately."""
+        """Whether the next inputs are to be processed in batches or immediately."""
 
     def step(self, item: Input) -> list[Output]:
         """Advance by one input."""
@@ -100,8 +100,8 @@ class Shell:
             each output and note (such as `SetpointSent`) that the input causes.
 
     Attributes:
-        lock, poses: None if the vehicle has none.
-        planners: by the kind of request.
+        lock, poses: None if the vehicle has no lock or no motion capture.
+        planners: planners by the kind of request that they answer.
     """
 
     def __init__(self, core: Core, transport: Transport, observe: Observe, time: RealTime) -> None:
@@ -116,8 +116,8 @@ class Shell:
     def step(self, item: Input, *, more: bool = False) -> None:
         """Step the core with an input and carry out the core's outputs, setpoints first.
 
-        If another input follows immediately (`more`), the setpoint of this step is not sent yet, because the
-        next step may replace it.
+        If another input follows immediately (`more`), hold the setpoint of this step, because the next step
+        may replace it.
         """
         number = self._number
         self._number += 1
@@ -132,7 +132,7 @@ class Shell:
             elif type(output) is Silence:
                 silent = True
         if silent:
-            self._held = None  # send no setpoint once the core has decided to fall silent
+            self._held = None  # once the core has decided to fall silent, no setpoint may follow
         elif not more:
             self._send_held()
         self._observe(item, number)
@@ -181,7 +181,7 @@ class Shell:
         ]
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint immediately and return its latency; store any other for `_send_held`."""
+        """Send a recovery setpoint immediately and return its latency; hold any other for `_send_held`."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -28,7 +28,7 @@ from dart_flight.sim.pipe import (
     WorldOutput,
 )
 
-_LAST_WORDS_S = 0.2  # wait for the message with the cause of the end; shorter than the deadman's timeout
+_LAST_WORDS_S = 0.2  # wait for the world's message about its end; shorter than the deadman's timeout
 
 
 class SimulatorError(FlightError):
@@ -36,7 +36,7 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session, which continues after Ctrl-C and the end of the app.
+    """Simulated vehicle in its own process and session; it continues after Ctrl-C and the end of the app.
 
     `on_truth` is called on a separate thread.
     """
@@ -65,7 +65,7 @@ class SimulatorProcess:
     def cause(self) -> str:
         """The reason why the world has ended; valid only if `died` is True."""
         if self._cause is None:
-            self.process.listener.join(_LAST_WORDS_S)  # the cause may still be unread in the pipe
+            self.process.listener.join(_LAST_WORDS_S)  # the pipe may still contain the cause
         if self._cause is not None:
             return self._cause
         code = self.process.poll()
@@ -88,7 +88,7 @@ class SimulatorProcess:
         return self.ready.version if self.ready is not None else None
 
     def wait_ready(self) -> None:
-        """Block until the autopilot sends telemetry, or raise SimulatorError with the cause, if known."""
+        """Block until the autopilot sends telemetry; raise SimulatorError, with the cause if it is known."""
         self._reported.wait(self.ready_timeout_s)
         if self.ready is None:
             where = f", see {self._log}" if self._log else ""
@@ -132,9 +132,9 @@ class Px4SimulatorProcess(SimulatorProcess):
     what = "the plant under PX4"
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process, and kill PX4's session if the process had to be killed."""
+        """End the process. If the process had to be killed, also kill PX4's session."""
         super().close(timeout_s)
-        killed = self.process.returncode < 0  # otherwise the process has ended PX4 itself
+        killed = self.process.returncode < 0  # a process that was not killed has ended PX4
         if killed and self.ready is not None and self.ready.pid is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.ready.pid, signal.SIGKILL)

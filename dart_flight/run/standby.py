@@ -1,7 +1,7 @@
 """Standby, which holds link and lock between flights and passes the link to `check` and `fly` processes.
 
 `StandbyDesk` decides without I/O. `Standby` has the connection, the lock and the child processes. Standby
-starts a flight with the command that an operator could also type, so flights work without standby.
+starts a flight with the command that an operator would type, so flights also work without standby.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ _SYSTEMD: Final = (
 )  # systemd's variables, which child processes must not inherit
 _TEXT_PAUSE_S: Final = 0.3  # pause between messages: PX4 buffers only about 580 bytes and drops the rest
 _LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
-_RADIO_S: Final = 3.0  # time without PX4's report after which a remote control counts as lost
+_RADIO_S: Final = 3.0  # after this time without PX4's report, a remote control counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
-_NO_GOES: Final = 3  # number of a check's no-gos sent to the ground station; the journal has all of them
+_NO_GOES: Final = 3  # the ground station receives this many no-gos of a check, and the journal all of them
 
 
 class Ended(NamedTuple):
@@ -82,7 +82,7 @@ class StandbyDesk:
     def reset(self) -> None:
         """Reset the state, which may have changed while another process had the link."""
         self._buttons, self._switch = StandbyButtons(), RcSwitch()
-        self._radio_s = -math.inf  # when PX4 last reported a remote control
+        self._radio_s = -math.inf  # time of PX4's last report of a remote control
         self._armed: bool | None = None
         self._travelling: Mode | None = None
 
@@ -104,7 +104,7 @@ class StandbyDesk:
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
         """Return the mode to which the transmitter's switch moves the lock."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
-            return None  # after a loss of the link, receivers may send preset positions
+            return None  # a receiver without its transmitter may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
 
 
@@ -201,7 +201,7 @@ class Standby:
         """End standby, and pass each signal to a flight in progress.
 
         After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
-        The flight receives two different signals, so that the second signal is not a repeat.
+        The two signals differ, so that the flight does not take the second for a repetition of the first.
         """
         self._stops += 1
         self._wake.set()
@@ -266,7 +266,8 @@ class Standby:
     def _holding_lock(self, config: LockConfig, session: VehicleSession) -> Iterator[LockThread]:
         """Within the context, run the lock; the servo does not move without a command.
 
-        Standby then owns the servo until its process ends, but a flight takes the servo over.
+        Standby then owns the servo until standby's process ends. During a flight, the flight's process uses
+        the servo.
 
         Raises:
             ServoInUseError: another process moves the servo.
@@ -343,7 +344,7 @@ class Standby:
 
     async def _run_child(self, command: Sequence[str]) -> Ended:
         """Run a `dart-flight` command on the link, and pass on all messages of the command."""
-        # Use a new session: then only standby gets Ctrl-C, and passes it on once.
+        # In a new session the child gets no Ctrl-C of its own; standby passes Ctrl-C on once.
         descriptors, kept = pass_kept()  # the child inherits the right to use the servo
         inherited = {name: value for name, value in os.environ.items() if name not in _SYSTEMD}
         child = self._child = await asyncio.create_subprocess_exec(

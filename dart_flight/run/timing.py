@@ -1,9 +1,10 @@
 """Real time, lockstep with a simulated world, and simulated time in process: the times of the core's shell.
 
 In lockstep (`sim.lockstep`) the world waits for the application. The application counts its unfinished tasks:
-queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, it sends a report to
-the world, which may then advance. Near a wall the world advances by one tick. Away from walls the world
-advances by 20 ms, and the core then steps all samples of these 20 ms together as a batch (`core.pace`).
+queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, the application sends
+a report to the world. The world may then advance. Near a wall the world advances by one tick. Away from walls
+the world advances by 20 ms, and the core then processes the samples of these 20 ms as one batch
+(`core.pace`).
 """
 
 from __future__ import annotations
@@ -41,12 +42,13 @@ _UNUSED: Final = (None, None, None)
 
 
 class RealTime:
-    """Real time: no world waits, so reports of the application's progress have no effect.
+    """Real time: no world waits, so the methods that count the application's tasks have no effect.
 
     A planner's answer is due immediately. Every method is thread-safe.
 
     Args:
-        clock: relation of the autopilot's clock to the host's, or None if the session estimates it.
+        clock: relation of the autopilot's clock to the host's clock, or None if the session estimates this
+            relation.
     """
 
     waits: ClassVar[bool] = False  # whether the world waits for the application
@@ -69,9 +71,10 @@ class RealTime:
         """Count one more unfinished task; `close` removes the task."""
 
     def completes_batch(self, item: Input) -> bool:
-        """Return whether this input from the vehicle completes a batch, so that the core must process it now.
+        """Return whether the core must process this input now, because it completes a batch.
 
-        Inputs from the vehicle are not counted as tasks, because the world itself counts what it has sent.
+        Inputs from the vehicle are not counted as tasks, because the world counts the samples that it has
+        sent.
         """
         return True
 
@@ -100,7 +103,7 @@ class RealTime:
             self._answers.append(answer)
 
     def due_answers(self) -> list[Answer]:
-        """Remove and return the answers that are due, the longest due first."""
+        """Remove and return the answers that are due, in the order of their due times."""
         if not self._answers:
             return []
         with self._guard:
@@ -135,8 +138,7 @@ class LockstepTime(RealTime):
         send: writes one line to the world; must not block.
         plan_us: time from a replanning request to its answer.
         batches: whether the world may advance by a batch of ticks in one step. This must be False if poses
-            are forwarded, because the order of poses and samples in a batch would depend on the computer's
-            load.
+            are forwarded: within a batch, the order of poses and samples would depend on the computer's load.
     """
 
     waits = True
@@ -185,7 +187,7 @@ class LockstepTime(RealTime):
                 elif isinstance(item, PlanAnswer | ContactAnswer):
                     self._due.pop((type(item), item.number), None)
             self._open -= work
-            # Report even if commands are open: a lock order may wait for PX4, which needs time to advance.
+            # Report even if commands are open: PX4 may need simulated time to answer a lock order.
             if not self._open or self._commands:
                 self._report()
 
@@ -207,8 +209,8 @@ class LockstepTime(RealTime):
     def open_request(self, request: PlanRequest | ContactRequest) -> None:
         """Count a request to a planner as unfinished until the core has processed the answer.
 
-        If the planned trajectory begins earlier than the planner's latency allows, the plan is due shortly
-        before the trajectory begins.
+        If the trajectory begins before the end of the planner's latency, the plan is due shortly before the
+        trajectory begins.
         """
         with self._guard:
             due_us = request.t_us + FIT_US

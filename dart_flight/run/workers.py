@@ -1,7 +1,7 @@
 """Parallel flights in a pool of processes, for campaigns and `dry-run --fast --runs`.
 
-If a process dies, its flight is retried. The processes come from a fork server, because a direct fork could
-inherit a mutex that a thread of the parent holds, such as the mutex of a progress bar.
+If a process dies, its flight is retried. A fork server starts the processes. A direct fork could inherit a
+locked mutex from a thread of the parent, such as the mutex of a progress bar.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Interrupt(StopSignals):
         self._announce: Callable[[int], None] | None = announce
 
     def report(self, under_way: int) -> None:
-        """Announce the first interrupt, if it is new; an engine calls this several times per second."""
+        """Announce the first interrupt once; call this several times per second."""
         if self.count and self._announce is not None:
             announce, self._announce = self._announce, None
             announce(under_way)
@@ -110,8 +110,8 @@ class _Pool(Generic[I, R]):
         context: Any = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:
             context.set_forkserver_preload(_PRELOADED)
-            # The fork server inherits the blocked signals: a signal to the whole group must not end it. The
-            # resource tracker, which the fork server needs, would unblock them at its start.
+            # A signal to the whole process group must not end the fork server, which therefore starts with
+            # these signals blocked. Start the resource tracker first, because its start unblocks them.
             resource_tracker.ensure_running()
             before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP_SIGNALS)
             try:
@@ -133,20 +133,20 @@ class _Pool(Generic[I, R]):
         try:
             return self._executor.submit(_fly_one, item)
         except (BrokenProcessPool, OSError) as error:
-            # A pool that breaks while it starts a process may have closed its pipes, hence OSError.
+            # If the pool breaks while it starts a process, its pipes may be closed, which raises OSError.
             future: Future[R | Failure] = Future()
             future.set_exception(BrokenProcessPool(str(error)))
             return future
 
     def renew(self) -> None:
-        """Replace the processes; raise FlightError if the new ones end before their first flight."""
+        """Replace the processes; raise FlightError if the new processes end before their first flight."""
         for _ in range(_RENEWALS):
             self.close()
             self._executor = self._make()
             try:
                 self._executor.submit(int).result()
             except (BrokenProcessPool, OSError):
-                time.sleep(_POLL_S)  # the fork server may have died too, and needs time to restart
+                time.sleep(_POLL_S)  # the fork server may have died as well; give it time to restart
             else:
                 return
         raise FlightError("worker process exited before its first flight")
@@ -162,7 +162,7 @@ _fly: Callable[[Any], Any]  # the flight function; set only in pool workers
 def _begin(fly: Callable[[Any], Any]) -> None:
     global _fly  # noqa: PLW0603  only a global keeps the function in a pool's process
     _fly = fly
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides what an interrupt means
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles interrupts
     os.setpgid(0, 0)  # no signal to the parent's group reaches this process; an ignored SIGHUP stays ignored
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _GROUP_SIGNALS)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
@@ -185,8 +185,8 @@ def work(
 ) -> Generator[FinishedItem[I, R], None, None]:
     """Fly items in parallel and yield their results in the order of completion.
 
-    If a process dies, the whole pool breaks. The items in progress are then retried one at a time. If a
-    process then dies again, the cause is the item in progress.
+    If a process dies, the whole pool breaks. The items in progress are then retried one at a time, which
+    identifies an item that makes its process die.
 
     Args:
         fly: flies one item; pickled once for each process.

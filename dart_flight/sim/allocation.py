@@ -18,8 +18,8 @@ class Allocation:
     def shares(self, roll: float, pitch: float, yaw: float, up: float) -> list[float]:
         """Return each motor's fraction of full thrust, from normalised torques (FRD) and collective thrust.
 
-        If a motor saturates, the lift is reduced or raised so that the torques are achieved. A fraction is
-        below 0 or above 1 only if no lift avoids this.
+        If a motor saturates, the lift is reduced or raised so that the torques are achieved. If no lift
+        achieves the torques, fractions below 0 or above 1 remain.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

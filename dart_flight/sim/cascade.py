@@ -162,7 +162,7 @@ class Cascade:
     def _attitude_from_thrust(self, thrust: Vec3, yaw: float) -> None:
         size = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
         z = (-thrust[0] / size, -thrust[1] / size, -thrust[2] / size)
-        # Body y perpendicular to the heading direction, x completes the frame.
+        # Body y is perpendicular to the heading direction; body x completes the frame.
         heading = (math.cos(yaw), math.sin(yaw), 0.0)
         y = _unit(_cross(z, heading))
         x = _cross(y, z)
@@ -207,7 +207,7 @@ def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     """
     up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]
-    if cosine < -0.9999:  # upside down: every rotation is equally short
+    if cosine < -0.9999:  # the vehicle is upside down: every rotation is equally short
         return quaternion_multiply(quaternion_conjugate(q), wanted)
     w = math.sqrt(0.5 * (1.0 + cosine))
     x, y, z = _cross(up, up_wanted)
@@ -231,7 +231,7 @@ def _unit(a: Vec3) -> Vec3:
 def _quaternion_from_axes(x: Vec3, y: Vec3, z: Vec3) -> Quaternion:
     """Return the attitude of a body whose axes point along `x`, `y` and `z` in the world."""
     trace = x[0] + y[1] + z[2]
-    # Use the best conditioned of the four forms.
+    # Of the four formulas for a quaternion, use the best conditioned one.
     if trace > 0.0:
         s = 2.0 * math.sqrt(1.0 + trace)
         q = (0.25 * s, (y[2] - z[1]) / s, (z[0] - x[2]) / s, (x[1] - y[0]) / s)

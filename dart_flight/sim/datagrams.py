@@ -21,7 +21,7 @@ def send_datagram(link: socket.socket, data: bytes, address: Address) -> None:
 
 
 def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
-    """Return a datagram and its sender, or None if none has arrived. A network failure raises FlightError."""
+    """Return a datagram and its sender, or None without a datagram. A network failure raises FlightError."""
     while True:
         try:
             return link.recvfrom(4096)

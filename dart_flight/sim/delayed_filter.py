@@ -38,17 +38,17 @@ _TICKS: Final = 2  # ticks of 4 ms per filter step: EKF2_PREDICT_US 10000 at 250
 _STEP_S: Final = 0.004 * _TICKS
 _PREDICT_S: Final = 0.01
 _DELAY_MAX_S: Final = 0.2  # EKF2_DELAY_MAX; a longer EKF2_EV_DELAY raises it
-_REACH_S: Final = 0.1  # age relative to the filter's time above which a pose is not fused
+_REACH_S: Final = 0.1  # a pose that is older than this, relative to the filter's time, is not fused
 _ACCELERATION_M_S2, _RATE_RAD_S, _BIAS_M_S3 = 0.35, 0.015, 0.003  # EKF2_ACC_NOISE, GYR_NOISE, ACC_B_NOISE
 _POSITION_M, _YAW_RAD = 0.01, 0.02  # EKF2_EVP_NOISE, EKF2_EVA_NOISE
 _POSITION_GATE, _YAW_GATE = 5.0, 2.6  # EKF2_EVP_GATE, EKF2_HDG_GATE, standard deviations
-_RESET_AFTER_S: Final = 1.0  # time without a pose within the gate after which the position is reset
-_INVALID_AFTER_S: Final = 5.0  # EKF2_NOAID_TOUT: time without a pose
+_RESET_AFTER_S: Final = 1.0  # if no pose is within the gate for this time, the position is reset
+_INVALID_AFTER_S: Final = 5.0  # EKF2_NOAID_TOUT: after this time without a pose, the estimate is invalid
 _BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
 _BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
 _OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
 _START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity, tilt, bias
-_NO_BIAS: Final = (0.0, 0.0, 0.0)  # the filter's bias is FRD, and already subtracted
+_NO_BIAS: Final = (0.0, 0.0, 0.0)  # the bias of the filter is FRD, and is already subtracted
 _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
 
 
@@ -70,7 +70,7 @@ class DelayedFilter:
         self._accelerometer_bias: Vec3 = (0.0, 0.0, 0.0)  # FRD
         self._covariance: _Matrix = np.diag(_START_SD**2)
         self._steps: deque[tuple[float, Vec3, Vec3]] = deque()  # end, mean specific force and mean rate
-        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # outputs at these steps' ends
+        self._outputs: deque[tuple[Vec3, Vec3, Quaternion]] = deque()  # outputs at the end of each step
         self._poses: deque[tuple[float, Vec3, Quaternion | None]] = deque()  # with assumed times
         self._ticks: list[tuple[Vec3, Vec3]] = []
         self._turn: Vec3 = (0.0, 0.0, 0.0)  # rate that corrects the output's attitude, rad/s

@@ -25,14 +25,14 @@ from dart_flight.lock.servo import ServoFaults
 Drawn = dict[str, float | str]
 
 _RINGING_M_S2 = (2.0, 3.0)  # range of one sample's deviation in recorded hover (docs/results/real_data.md)
-_RINGING_WHITE_M_S2 = 0.8  # white-noise part of the deviation, from 32 ms means of the same recordings
+_RINGING_WHITE_M_S2 = 0.8  # the white noise in this deviation, from 32 ms means of the same recordings
 _MIN_FACTOR = 0.1  # lower limit of a factor on a nominal value
 # Default spreads: standard deviations, relative if there is no unit.
 SPREADS: Final[Mapping[str, float]] = {
     "contact": 0.2,  # friction on wood varied in 2 of 5 flights of the paper
     "contact_scatter": 0.05,  # scatter between impacts on the same wall
     "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, regardless of its report
-    "wall_offset_m": 0.03,  # error of a tape measure, and of a panel that was moved
+    "wall_offset_m": 0.03,  # error of a tape measure, and displacement of a panel
     "wall_yaw_deg": 4.0,
     "guard_height_m": 0.02,  # for a vehicle without its own guard_height_sd_m
     "mass": 0.03,
@@ -91,7 +91,7 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
 
 
 def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
-    """Draw the world for one flight of the mission that the core assumes (`spreads`: `parse_vary`)."""
+    """Draw the world for one flight of a mission; `parse_vary` describes `spreads`."""
     world = DrawnWorld(mission, None, {})
     for name in NAMES:  # in the table's order, independent of the requested order
         if spreads.get(name):

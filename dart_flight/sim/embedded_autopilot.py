@@ -37,7 +37,7 @@ _POSITION_EVERY: Final = 2  # ticks; PX4's position controller runs with its est
 _FAILSAFE_HOLD_S: Final = 5.0
 _IDLE: Final = 0.05
 _KILL_DISARM_S: Final = 5.0  # PX4's COM_KILL_DISARM
-_OFFBOARD_PROOF_S: Final = 0.5  # largest age of a setpoint with which offboard mode is accepted
+_OFFBOARD_PROOF_S: Final = 0.5  # offboard mode is accepted only with a setpoint younger than this
 
 
 class ImuReading:
@@ -84,11 +84,11 @@ class Autopilot:
         self.motors: tuple[float, ...] = self._stopped
         self._killed_at_s: float | None = None
         self.actuator_set: list[float] = [math.nan] * 6
-        self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose by motion capture at this tick
+        self.pose: tuple[float, Vec3, Quaternion] | None = None  # pose from motion capture at this tick
         self.fuses_own_pose = True  # False if poses arrive by `fuse_external_pose`
         self.imu = ImuReading(0, (0.0, 0.0, -GRAVITY_M_S2), (0.0, 0.0, 0.0))
         self.failsafe: str | None = None
-        self.imu_stuck = False  # fault: the reported IMU sample repeats; the estimator still gets true ones
+        self.imu_stuck = False  # fault: the reported IMU sample repeats; the estimator gets true samples
         self.battery_left: float | None = None
         self._offboard: TrajectorySetpoint | None = None
         self._offboard_at_s = -math.inf
@@ -197,7 +197,7 @@ class Autopilot:
         self.pose_filter = DelayedFilter(self.estimator, self.now_s, delay_s)
 
     def fuse_external_pose(self, position_ned: Vec3, q_frd_to_ned: Quaternion | None) -> None:
-        """Fuse an external pose; without effect before `use_external_poses`."""
+        """Fuse an external pose; before `use_external_poses`, do nothing."""
         if not self.fuses_own_pose:
             self.pose_filter.correct(self.now_s, position_ned, q_frd_to_ned)
 
@@ -356,8 +356,7 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` requires; GPS parameters too, because missing parameters are requested
-    # repeatedly.
+    # The values that `check` requires, also of GPS parameters: clients request missing parameters repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

@@ -1,9 +1,9 @@
 """The embedded autopilot's state estimator: it integrates the IMU and is corrected by poses or GPS fixes.
 
-It uses fixed gains for motion capture, and for GPS a small Kalman filter with noise values from PX4's
-parameters. It is not a copy of EKF2, but has the same kinds of error. Poses and fixes are noisy and late,
-and a clipped accelerometer causes a velocity error. With GPS, the receiver's slowly varying position error
-enters the estimate, and a wrong measured velocity makes the estimate drift.
+With motion capture, the gains are fixed. With GPS, they come from a small Kalman filter with PX4's noise
+parameters. The estimator is not a copy of EKF2, but has the same kinds of error. Poses and fixes are noisy
+and late, and a clipped accelerometer causes a velocity error. With GPS, the receiver's slowly varying
+position error enters the estimate, and a wrong measured velocity makes the estimate drift.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class Estimator:
         self.ok = self.updates > 5
 
     def _at(self, t_s: float) -> tuple[float, Vec3, Vec3, Quaternion]:
-        """Return the prediction nearest to a time, and discard older ones: measurements arrive in order."""
+        """Return the prediction nearest to a time; discard older ones, as measurements arrive in order."""
         history = self._history
         while len(history) > 1 and abs(history[1][0] - t_s) < abs(history[0][0] - t_s):
             history.popleft()
@@ -149,7 +149,7 @@ class Estimator:
         if self._gps is None:
             faster_ned = (0.0, 0.0, 0.0)  # the gains at 100 Hz already account for the change of velocity
         (n, e, d), (vn, ve, vd) = by_ned, faster_ned
-        # Written out, because every pose corrects every stored prediction.
+        # Written out for speed: every pose corrects every stored prediction.
         self._history = deque(
             [
                 (t, (p[0] + n, p[1] + e, p[2] + d), (v[0] + vn, v[1] + ve, v[2] + vd), q)

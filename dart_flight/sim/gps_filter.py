@@ -43,7 +43,7 @@ class GpsFilter:
         self._since_s += dt_s
 
     def correct(self) -> tuple[tuple[float, float], ...]:
-        """Return gains for position, velocity and bias, each for the fix's position and its velocity."""
+        """Return the gains of position, velocity and bias for a fix's position and for a fix's velocity."""
         h, self._since_s = self._since_s, 0.0
         step = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, h], [0.0, 0.0, 1.0]])
         q = (self._ACCELERATION_M_S2**2) * self._SAMPLE_S * h

@@ -29,11 +29,11 @@ from dart_flight.base.errors import FlightError
 from dart_flight.sim.embedded_autopilot import TICK_US
 from dart_flight.sim.pipe import Stepped
 
-_SILENT_S: Final = 10.0  # host time without an answer after which the flight ends
-_LOST_S: Final = 1.0  # host time after which an unanswered message counts as lost and is logged
+_SILENT_S: Final = 10.0  # after this host time without an answer, the flight ends
+_LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and is logged
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; a longer one is a suspension
-_SENDER_S: Final = 0.2  # host time in which a sender catches up
+_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; a suspended process takes longer
+_SENDER_S: Final = 0.2  # host time for the autopilot's sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"
 _SENT: Final = {kind: f"a {kind} of the application" for kind in ("setpoint", "pose")}
@@ -68,8 +68,8 @@ class Lockstep:
             answer, so time advances while PX4 has an outstanding request. Even then, time waits for the core
             to process telemetry.
         waits_at_first: whether time stands still until the application's first report.
-        sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 unless the autopilot
-            sends in a separate thread.
+        sender_lag_us: largest delay of the autopilot's telemetry in simulated time; 0 if the autopilot sends
+            in the world's thread.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class Lockstep:
         self._autopilot, self._answers_at_rest = autopilot, answers_at_rest
         self._waits_at_first, self._sender_lag_us = waits_at_first, sender_lag_us
         self._log, self._named = log, False
-        self._lost: dict[str, tuple[float | None, ...]] = {}  # values whose arrival is no longer awaited
+        self._lost: dict[str, tuple[float | None, ...]] = {}  # values that count as lost, by kind
         self._report: Stepped | None = None
         self._unanswered_s = 0.0  # host time waited since the last report
         self._from_us: dict[str, int] = {}
-        self._published: dict[str, int] = {}  # newest number on each stream outside the autopilot
+        self._published: dict[str, int] = {}  # newest number on each stream that the world itself sends
 
     @property
     def engaged(self) -> bool:
@@ -108,7 +108,7 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Store the number of the newest message on a stream of the world itself; numbers must increase."""
+        """Store the number of the newest message on a stream of the world's own; numbers must increase."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
@@ -123,7 +123,8 @@ class Lockstep:
             return None
         if report.commands and self._answers_at_rest:
             return "the result of a command"
-        # The application's clock is the newest stamp, so it needs a message with the due time first.
+        # The application's clock is the newest stamp. A message with the due time must therefore arrive
+        # first.
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         # MAVSDK may hold a setpoint back until a command has its result.
@@ -156,7 +157,7 @@ class Lockstep:
         """
         polled_s, waited_s = time.monotonic(), 0.0
         while look():
-            # Read first, because data that has been read no longer wakes `select`.
+            # Process arrived data before calling `select`, which wakes only for unread data.
             self._autopilot.answer_requests()
             missing = self.outstanding(next_us)
             if missing is None:
@@ -181,7 +182,7 @@ class Lockstep:
             select.select(wake, [], [], _POLL_S)
 
     def _name(self, missing: str | None, waited_s: float) -> None:
-        """Log once what has been missing for a long time, and when time advances again."""
+        """Log once that an answer has been missing for a long time, and log when time advances again."""
         if missing is not None and not self._named:
             self._log(f"the simulation has waited {waited_s:.1f} s for {missing}{self._difference(missing)}")
         elif missing is None and self._named:

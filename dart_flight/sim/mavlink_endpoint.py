@@ -61,7 +61,7 @@ _SEVERITY = {"critical": 2, "error": 3, "warning": 4, "info": 6}
 _HEARTBEAT_S = 1.0
 _STREAM_NAMES = {stream.number: stream.name for stream in SAMPLED}
 
-_ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, for a configuration without one
+_ESC_THRUST_N_PER_RPM2 = 1.1e-8  # example value, used if the configuration has none
 
 
 class Link:
@@ -211,7 +211,7 @@ class MavlinkEndpoint:
         link.to_app.push(self.autopilot.now_s, packed)
 
     def _receive(self, link: Link) -> None:
-        for _ in range(100):  # a limit, so that a flood of messages does not stop the flight
+        for _ in range(100):  # limit the number, so that a flood of messages does not stop the flight
             arrived = receive_datagram(link.socket)
             if arrived is None:
                 break
@@ -457,7 +457,7 @@ class MavlinkEndpoint:
 
     def _battery_status(self) -> Any:
         a = self.autopilot
-        # Without cell voltages, the first value is the total voltage. The second has what exceeds its range.
+        # Without cell voltages, the first value is the total voltage, the second value its excess over 65534.
         volts = round(a.vehicle.simulation.battery_v * 1000)
         cells = [min(volts, 65534), volts - 65534 if volts > 65534 else 65535] + [65535] * 8
         return mavlink.MAVLink_battery_status_message(

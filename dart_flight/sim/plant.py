@@ -69,21 +69,21 @@ from dart_flight.contact.propeller_guards import (
 
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # number of steps of 0.1 ms in one step of 1 ms
-_END_STEPS: Final = 40  # the same near a wall's end, where a force may jump as a guard leaves the surface
-_NEAR_WALL_M: Final = 0.08  # largest distance at which a contact below 5 m/s begins
-_NEAR_END_M: Final = 0.03  # largest distance from which a guard reaches an edge (1 cm) in one step
-_BEHIND_M: Final = -0.6  # limit behind a plane, beyond which a vehicle is on the wall's other side
-_REBOUND_S: Final = 0.01  # time within which a guard that returns continues the same contact
+_END_STEPS: Final = 40  # steps near a wall's end: a force may jump there as a guard leaves the surface
+_NEAR_WALL_M: Final = 0.08  # at more than this distance, no contact below 5 m/s begins
+_NEAR_END_M: Final = 0.03  # from more than this distance, no guard reaches an edge (1 cm) in one step
+_BEHIND_M: Final = -0.6  # a vehicle farther behind a plane is on the wall's other side
+_REBOUND_S: Final = 0.01  # a guard that returns within this time continues the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
-_GROUND_M: Final = 0.01  # height above which the landing gear touches nothing
+_GROUND_M: Final = 0.01  # above this height, the landing gear touches nothing
 _NO_LOAD: Final = NO_LOAD
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and its rate (m/s)
 _GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
-_QUARTER = 0.5 * math.pi  # the vehicle is four-fold symmetric
+_QUARTER = 0.5 * math.pi  # the vehicle has four-fold symmetry
 GROUND_FRICTION: Final = 0.6  # rubber feet on a hall floor
 _GROUND_STEPS: Final = 2  # steps per millisecond if only the landing gear touches; more steps change nothing
-_GROUND_SPEED_M_S: Final = 0.05  # regularisation: the ground's friction falls below this speed
+_GROUND_SPEED_M_S: Final = 0.05  # below this speed, the ground's friction decreases (regularisation)
 
 
 class _WallPlane:
@@ -114,9 +114,9 @@ class _WallPlane:
 
     @property
     def depths(self) -> list[float] | None:
-        """Deflection of each guard if a guard may be near an end of the wall.
+        """Deflection of each guard if a guard may be near an end of the wall, otherwise None.
 
-        Otherwise None: each guard's deflection equals the guard's depth behind the surface.
+        If None, each guard's deflection equals the guard's depth behind the surface.
         """
         return self.ends.depths if self.near_end else None
 
@@ -218,7 +218,7 @@ class Plant:
         self._reach_m = max(norm(guard.at) for guard in self._guards)
         walls = (one for one in obstacles if isinstance(one, Wall))
         self.planes = [_plane(wall, frame, self.body.guard_out_m, self._guards) for wall in walls]
-        # The point represents the vehicle's side, at a wall and at a post.
+        # A point body represents the vehicle's side, at walls and at posts.
         out_m = vehicle.airframe.contact_distance_m - self.body.guard_out_m
         posts = (one for one in obstacles if isinstance(one, Post))
         self.posts = [_standing_post(post, frame, out_m, self._guards) for post in posts]
@@ -242,8 +242,8 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: fraction of the input-output difference left after one step, and its mean over
-        # the step.
+        # First-order low-pass: the fraction of the input-output difference that is left after one step, and
+        # the mean of this fraction over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag
@@ -257,8 +257,8 @@ class Plant:
     def advance(self, motor_commands: Sequence[float], steps: int = 1) -> Vec3:
         """Advance by `steps` milliseconds; return the IMU's mean specific force, FRD, m/s2, without noise.
 
-        The force includes the arms' vibration. In each millisecond it passes the anti-alias filter and is
-        limited to full scale.
+        The force includes the arms' vibration. In each millisecond the force passes the anti-alias filter and
+        is limited to full scale.
         """
         fx = fy = fz = 0.0
         most = self._full_scale
@@ -449,7 +449,7 @@ class Plant:
             self.velocity = v = (v[0] + h * a[0], v[1] + h * a[1], v[2] + h * a[2])
             self.rate = w = (w[0] + h * b[0], w[1] + h * b[1], w[2] + h * b[2])
             self.q = q = integrate_rate(q, mid_w, h)
-            # Forces at the end of this step and the beginning of the next.
+            # These forces act at the end of this step and at the beginning of the next step.
             motion = BodyMotion(p, v, q, w)
             a, b, touches = self._contact_accelerations(motion, free, torque, obstacles, near_ground)
             for (obstacle, c), one in zip(obstacles, touches, strict=True):
@@ -575,7 +575,7 @@ class Plant:
         yaw = self.frame.yaw_from_ned(yaw_ned_of(self.q))
         c = self._coefficients(plane, wall.incidence(yaw))
         if not plane.near_end:
-            plane.ends.bearing.clear()  # `touch` on the plain surface does not update `bearing`
+            plane.ends.bearing.clear()  # `touch` on a surface without ends does not update `bearing`
         else:
             for edge, nearest in plane.ends.nearest(self.q, self.position):
                 self._coefficients_of_cylinder(plane, edge, nearest)

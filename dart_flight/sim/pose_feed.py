@@ -27,7 +27,8 @@ class PoseFeed:
 
     Args:
         mocap: defines the axes of the room and of the marker body.
-        publish: as `PoseServer.publish`, of an emulated server or of a pose source in the same process.
+        publish: `PoseServer.publish` of an emulated server, or the same function of a pose source in this
+            process.
         other_ned: position of another vehicle's marker body for the fault `mocap-other-body`, metres.
 
     Attributes:

@@ -15,8 +15,8 @@ import numpy as np
 
 from dart_flight.config.vehicle import Motor, effectiveness
 
-_SCALE_DIGITS = 4  # decimals of the scale; 0.7071 for a quadrotor, as in every recorded flight
-_SHAPE_DIGITS = 9  # decimals of the shape; more would be rounding errors of the inverse
+_SCALE_DIGITS = 4  # decimals of the scale; a quadrotor then has 0.7071, as in every recorded flight
+_SHAPE_DIGITS = 9  # decimals of the shape; further decimals are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:

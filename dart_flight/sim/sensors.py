@@ -95,7 +95,7 @@ class _Ringing:
 
 
 def _saturate(true: float, noisy: float, scale: float) -> float:
-    """Limit a reading to full scale; a true value beyond a limit gives the limit without noise."""
+    """Limit a reading to full scale; if the true value is beyond a limit, return the limit without noise."""
     if not -scale < true < scale:
         return math.copysign(scale, true)
     return noisy if -scale < noisy < scale else math.copysign(scale, noisy)
@@ -109,7 +109,7 @@ class PoseSensor:
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
         self._delay_s = s.pose_delay_s
-        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin, which a fault may set
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin; a fault may set it
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 
@@ -240,7 +240,7 @@ class GpsReceiver:
         return None
 
     def _advance_error(self, wander: Vec3, sd: float, decay: float) -> Vec3:
-        """Return a first-order Gauss-Markov error one fix later."""
+        """Return a first-order Gauss-Markov error after one more fix."""
         return add(scale(wander, decay), self._scaled(sd * math.sqrt(1.0 - decay * decay)))
 
     def _scaled(self, sigma: float) -> Vec3:

@@ -26,7 +26,7 @@ from dart_flight.sim.pipe import (
 from dart_flight.sim.plant import Plant
 
 _TRUTH_EVERY = 2  # ticks between two records of the truth
-STALL_S = 0.25  # length of a stall above which the world pauses instead of catching up
+STALL_S = 0.25  # after a longer stall, the world pauses instead of catching up
 
 
 class Pacer:
@@ -84,8 +84,8 @@ class ServedWorld(Protocol):
 def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
     """Return the current limit of the real-time factor.
 
-    A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
-    report, and while a request to PX4 is open, its telemetry would otherwise run ahead of the app.
+    A world in lockstep may be faster than real time only while it waits for the app. It does not wait before
+    the app's first report, nor while a request to PX4 is open. Its telemetry could then run ahead of the app.
     """
     held = lockstep is None or (connected and lockstep.limits_pace)
     return speed if held else min(speed, 1.0)

@@ -26,7 +26,7 @@ class LockServo:
     def set_horn(self, pulse_us: float) -> None:
         if pulse_us != self._horn_us:  # the usual case is a horn at rest
             self._horn_us = pulse_us
-            # Between the ends the rods do not hold all four arms, so every position but rigid is flexible.
+            # Between the ends the rods do not hold all four arms, so only the rigid end counts as rigid.
             rigid = mode_of(self._config, pulse_us) is Mode.RIGID
             self._wanted = Mode.RIGID if rigid else Mode.FLEXIBLE
         self._plant.set_mode(self._wanted)

@@ -22,7 +22,7 @@ from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, owner_of_udp_port, udp_port_is_free
 
 _OWN_PORT = 40  # PX4's own port (14580) minus the port that PX4 sends to (14540)
-_LISTEN_S = 0.4  # time to listen, in which a vehicle sends dozens of messages
+_LISTEN_S = 0.4  # time to listen; a vehicle sends dozens of messages in this time
 
 
 class VehiclePortLease:
@@ -32,8 +32,9 @@ class VehiclePortLease:
 
     - Another `simulate` or `dry-run --px4` has a lease of `port`.
     - A PX4 with another simulator has bound `own_port`, the local port from which PX4 sends. The simulated
-      vehicle also binds `own_port`. If both start at the same time, only the first to bind it continues.
-    - Any other sender is detected by listening on `port`, unless a program already receives on `port`.
+      vehicle also binds `own_port`. If both start at the same time, only the first that binds `own_port`
+      continues.
+    - Any other sender is detected by listening on `port`, if no program already receives on `port`.
 
     Raises:
         LinkInUseError: another program already sends to the port; if known, the message names this program.
@@ -70,7 +71,7 @@ def _listen(port: int) -> str | None:
     parser = mavlink.MAVLink(None)
     parser.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        # MAVSDK also shares its port, so a program that starts now is not blocked.
+        # Share the port, as MAVSDK does, so that a program that starts now can open it.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if not udp_port_is_free(port, "127.0.0.1"):
             return None

@@ -29,7 +29,7 @@ class UnlistedMessage(mavlink.MAVLink_message):  # type: ignore[misc]
 
 
 def current_mode(custom_mode: int) -> UnlistedMessage:
-    """Return the current mode, which is also the intended one, as PX4's custom mode."""
+    """Return the current mode as PX4's custom mode; the intended mode is the same."""
     return UnlistedMessage(CURRENT_MODE_ID, custom_mode, custom_mode, 0)
 
 

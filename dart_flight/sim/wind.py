@@ -10,7 +10,7 @@ from dart_flight.config.vehicle import Simulation
 from dart_flight.sim.noise import GaussianNoise
 from dart_flight.sim.plant import Plant
 
-GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room are slower than a contact
+GUST_TIME_S: Final = 2.0  # correlation time: gusts in a room last longer than a contact
 
 
 class Wind:

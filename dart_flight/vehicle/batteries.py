@@ -41,7 +41,7 @@ class Batteries:
         return [reading for reading in self._readings.values() if reading not in counted]
 
     def worst(self) -> BatteryReading | None:
-        """Return a flight battery below the lowest voltage, or else the one with the least charge."""
+        """Return the flight battery with the least charge; a battery below the lowest voltage comes first."""
         return min(self.flight_batteries(), key=self._rank, default=None)
 
     def _is_flight_battery(self, reading: BatteryReading) -> bool:

@@ -12,9 +12,9 @@ from typing import Protocol
 from dart_flight.base.records import RoundTrip
 from dart_flight.base.stamps import LeapFilter
 
-_WINDOW = 8  # seconds; the largest difference of each second is kept
+_WINDOW = 8  # seconds; the estimate keeps the largest difference of each second
 _LOCKSTEP_STEP_US = 2000
-_LEAPS_ACCEPTED = 50  # number of consecutive leaping stamps that confirm a leap; all streams share one clock
+_LEAPS_ACCEPTED = 50  # consecutive leaping stamps, of all streams together, that confirm a leap
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
@@ -53,7 +53,7 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's clock runs at the rate of the host's clock
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the round trip; omit the autopilot's time if its clock may run at a different rate."""
+        """Return the round trip, without the autopilot's time if that clock may run at a different rate."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod
@@ -146,8 +146,8 @@ class LockstepClock(_RealHost):
 
     The simulator does not wait for the application. The autopilot's clock runs at the simulator's rate and
     stops with the simulator. Its time is therefore estimated as the newest stamp plus an advance. The advance
-    is `speed` (the simulator's target real-time factor) times the host time since the receipt of that stamp,
-    but at most 50 ms.
+    is the host time since the receipt of that stamp, multiplied by `speed`, the simulator's target real-time
+    factor. The advance is at most 50 ms.
     """
 
     _REACH_US = 50_000

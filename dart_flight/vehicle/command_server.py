@@ -47,8 +47,8 @@ class CommandServer:
     Args:
         system_id: system id of the only ground station that is allowed to send commands.
         answer: returns the result of a button press and the reason for this result.
-        note: receives one line about every command, for log and ground station. All commands of other systems
-            together cause only one line.
+        note: receives one line about every command, for log and ground station. Commands of other systems
+            cause a line only once.
 
     Attributes:
         refused: number of commands from other systems; all of them are denied.

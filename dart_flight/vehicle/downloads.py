@@ -20,7 +20,7 @@ from mavsdk.plugins.log_files import Entry, LogFiles
 from dart_flight.base.errors import FlightError
 
 _SILENT_S = 3.0  # timeout without progress
-_LOG_SILENT_S = 15.0  # timeout for a log; longer, because a lossy link repeats chunks
+_LOG_SILENT_S = 15.0  # timeout for a log, which a lossy link delays by repeating chunks
 _CANCELLED_S = 2.0  # timeout for the last callback after a cancellation
 _RATED_S = 2.0  # time from a download's start until its duration is estimated
 _CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
@@ -117,7 +117,7 @@ def logs_of_flight(
     armed: tuple[datetime, datetime] | None,
     before: Collection[Px4LogEntry] | None,
 ) -> list[Px4LogEntry]:
-    """Return the logs that may belong to a flight; a single log if the flight's log is identified.
+    """Return the logs that may belong to a flight; if the flight's log is identified, return only this log.
 
     Args:
         armed: arming time and end time of the flight, or None if unknown.

@@ -69,7 +69,7 @@ class Source(msgspec.Struct, frozen=True):
 
 
 def unusable_streams(sources: Iterable[Source]) -> dict[str, str]:
-    """Return {stream: reason} for each stream from the vehicle that had no usable message."""
+    """Return {stream: reason} for the vehicle's streams without a usable message."""
     found: dict[str, Source] = {}
     for source in sources:
         stream = BY_MESSAGE.get(source.sender.message)
@@ -126,7 +126,7 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 _HEARTBEAT_S = 3.0
 _REPORT_S = 5.0  # additional wait for PX4's reasons for not arming; MAVSDK must first fetch their texts
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
-_MAX_UNANSWERED = 2  # unanswered requests before giving up; MAVSDK retries each one for several seconds
+_MAX_UNANSWERED = 2  # unanswered requests until an error; MAVSDK retries each one for several seconds
 _WAIT_POLL_S = 0.1  # interval between requests for the vehicle's time during a wait
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 
@@ -298,8 +298,7 @@ class GroundLink:
 
         Raises:
             NoAnswerError: the vehicle answers no requests, or has stopped sending.
-            Exception: MAVSDK's exception, if the vehicle refuses this request, or does not answer it but may
-                still answer others.
+            Exception: the vehicle refuses this request, or answers other requests but not this one.
         """
         try:
             answer = request()
@@ -365,15 +364,15 @@ class GroundLink:
         Args:
             names: the parameters that the vehicle lacks are missing from the result.
             progress: receives the number of parameters requested so far.
-            unanswered: receives the names of parameters whose value and absence are both unknown. If it is
-                None, such a parameter raises VehicleError.
+            unanswered: receives the names of parameters whose value and absence are both unknown. If
+                `unanswered` is None, such a parameter raises VehicleError.
         """
         lost: set[str] = set()
         values = self._parameters.read(names, progress, lost)
         if unanswered is not None:
             unanswered |= lost
         elif lost:
-            raise VehicleError(f"no answer for {', '.join(sorted(lost))}: repeat, or improve the link")
+            raise VehicleError(f"no answer for {', '.join(sorted(lost))}: try again, or improve the link")
         return values
 
     def write_parameter(self, name: str, value: Value) -> None:
@@ -422,7 +421,7 @@ class GroundLink:
 
         asyncio.run(
             session.set_rates([stream.name for stream in SAMPLED])
-        )  # the measured rates reveal a refusal
+        )  # a refused rate shows in the measured rates
         motors, lowest_v = len(vehicle.airframe.motors), vehicle.guard.battery_v
         session.subscribe(vehicle.estimation, motors, lowest_battery_v=lowest_v)
         session.listen(messages.GPS_RAW_INT, store_fix)

@@ -186,7 +186,7 @@ def find_holder(url: str) -> Holder | None:
 
 
 def held_links() -> Iterator[Holder]:
-    """Yield the processes of this software that hold a network link in this namespace, or a device."""
+    """Yield the processes of this software that hold a device, or a link in this network namespace."""
     for path in sorted(link_folder().glob("*.json")):
         holder = _holder_in(path)
         if holder is not None and _file_of(holder.url) == path:
@@ -218,10 +218,9 @@ _UNKNOWN_OWNER = "another program"
 
 
 def udp_port_is_free(port: int, host: str = "") -> bool:
-    """Return whether no socket is bound to a UDP port.
+    """Return whether a UDP port is free. A port with a shared socket, such as MAVSDK's, is not free.
 
-    A socket that shares its port, such as MAVSDK's, also counts as bound. Raise InputError if the port cannot
-    be bound for another reason, for example because `host` is not local.
+    Raise InputError if the port cannot be bound for another reason, for example because `host` is not local.
     """
     family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
     try:

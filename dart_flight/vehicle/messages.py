@@ -44,8 +44,8 @@ class Unusable(NamedTuple):
     reason: str
 
 
-# Function from a message's stamp to the host time of its receipt, both in microseconds; call it only for a
-# usable message.
+# Function that converts a message's stamp to the host time of receipt, both in microseconds. Call it only for
+# a usable message.
 Receive = Callable[[int], int]
 
 # --- values of messages that are not records by themselves
@@ -271,7 +271,7 @@ class Outputs(msgspec.Struct, rename={"t_us": "time_usec"}):
 
     @property
     def values(self) -> list[float | None]:
-        # PX4 sends the outputs of the first bank; `active` 0 means that PX4 does not set the field.
+        # PX4 sends the outputs of the first bank. If `active` is 0, PX4 has not set the field.
         return self.actuator[: self.active] if self.active else self.actuator
 
     def value(self, receive: Receive) -> Outputs:

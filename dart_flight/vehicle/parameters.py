@@ -1,7 +1,7 @@
 """The parameters of a vehicle: values by name, and the list of the names that the vehicle has.
 
-A missing answer does not prove that the vehicle lacks a parameter. A parameter is absent only if the vehicle
-reports this, or if it is missing from the vehicle's complete list and its name gets no answer.
+A missing answer does not prove that the vehicle lacks a parameter. A parameter is absent in two cases: the
+vehicle reports this, or the vehicle's complete list lacks the parameter and its name gets no answer.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 
 _READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
 _LIST_S = 60.0  # timeout for the list
-_SILENT_S = 1.5  # timeout without a new entry, after which the missing entries are requested
-_ROUNDS = 3  # number of consecutive requests without a new entry after which the list counts as complete
+_SILENT_S = 1.5  # after this time without a new entry, the missing entries are requested
+_ROUNDS = 3  # after this many consecutive requests without a new entry, the list counts as complete
 _CHUNK = 40  # number of entries requested together; a slow radio would drop more
 _AGAIN, _AGAIN_S = 3, 0.5  # number of further requests for an unanswered name, and the wait after each
 _POLL_S = 0.02

@@ -23,8 +23,8 @@ _logger = logging.getLogger("dart_flight.mavsdk")
 _lock = threading.Lock()
 _closing = 0  # connections that are being closed
 _NUMBER = re.compile(r"\d+")
-_MAX_KINDS = 1000  # maximum number of stored kinds; a damaged link may produce new ones without end
-# Message without its numbers -> level, first text, number of repetitions.
+_MAX_KINDS = 1000  # maximum number of stored kinds; a damaged link may produce any number of kinds
+# Text without its numbers -> level, first text, number of repetitions.
 _repeated: dict[str, tuple[int, str, int]] = {}
 
 

@@ -278,7 +278,7 @@ class VehicleSession:
         return ""
 
     def _report_unusable(self, name: str, reason: str, received: int) -> None:
-        """Deliver the reason why a stream has no usable message, at most every 3 s."""
+        """At most every 3 s, deliver the reason why a stream has no usable message."""
         if self._reports_unusable and received - self._reported_us.get(name, -_REPORTED_US) >= _REPORTED_US:
             self._reported_us[name] = received
             text = f"{name} arrives, but no message is usable: {reason}"
@@ -306,7 +306,7 @@ class VehicleSession:
             await asyncio.to_thread(self._request_interval, number, -1)
 
     async def measure_link(self, timeout_s: float) -> list[str]:
-        """Wait for the first answer to a request; return the unanswered requests if none arrives.
+        """Wait for the first answer to a request; return the unanswered requests if no answer arrives.
 
         The requests are TIMESYNC and, if the vehicle does not answer TIMESYNC, a rate request.
         """
@@ -427,7 +427,7 @@ class VehicleSession:
 
     def _on_status(self, **changes: Any) -> None:
         received = self._host_us()
-        pin_thread_state()  # all callbacks run on one thread, and this call is infrequent
+        pin_thread_state()  # all callbacks run on this thread, so an infrequent callback suffices
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
         )
@@ -522,8 +522,8 @@ class VehicleSession:
         """Send a setpoint immediately, from any thread; MAVSDK repeats it at 20 Hz until the next setpoint.
 
         In offboard mode, a setpoint equal to the last setpoint is skipped for 0.1 s, because MAVSDK repeats
-        the last setpoint. In other modes no setpoint is skipped: there MAVSDK repeats no setpoints, and it
-        needs a setpoint to start offboard mode. A recovery setpoint is never skipped.
+        the last setpoint. In other modes MAVSDK repeats nothing and needs a setpoint to start offboard mode,
+        so no setpoint is skipped. A recovery setpoint is never skipped.
         """
         if self._silent:
             return
@@ -634,8 +634,8 @@ async def connect(
         timeout_s: timeout of the first heartbeat.
         deliver: receives every record, on MAVSDK's thread.
         ground: whether to appear as a ground station instead of a companion computer. On the vehicle's
-            computer this must be False. Otherwise PX4 could confuse this program's heartbeat with the
-            heartbeat of the real ground station, and would not detect the loss of that station's link.
+            computer this must be False. Otherwise PX4 could mistake this program's heartbeat for the real
+            ground station's, and would not detect the loss of the station's link.
         clock: clock of an autopilot whose time is not real time, such as `LockstepClock`.
         opened: called as soon as MAVSDK has opened the link and an autopilot has answered.
 

@@ -225,7 +225,7 @@ def test_a_missing_answer_is_neither_a_value_nor_an_absence() -> None:
     unknown = setting.read_differences(link, mission(), None, None)
     assert unknown.position_from is None
     assert unknown.states["EKF2_EV_CTRL"] is ParameterState.NOT_ANSWERED
-    assert "position source unknown" in unknown.remarks[0]
+    assert "the position source is unknown" in unknown.remarks[0]
 
 
 def test_a_value_that_px4_limits_later_is_not_written() -> None:

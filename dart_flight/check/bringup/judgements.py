@@ -202,7 +202,7 @@ class Push(msgspec.Struct, frozen=True):
 
 
 def find_push(samples: Sequence[ImuSample], level: Vec3) -> Push | None:
-    """Return the first push, a horizontal acceleration that lasts longer than a bump, or None."""
+    """Return the first push or None; a push is a horizontal acceleration that lasts longer than a bump."""
     start = 0
     for end, last in enumerate(samples):
         while last.t_us - samples[start].t_us > _PUSH_US:
@@ -351,8 +351,8 @@ def evaluate_motion(
     Args:
         motion: estimate from poses, gyro and accelerometer.
         config: configuration with which the poses were converted.
-        round_trip_s: round trip of the link, or None if unknown. It contains the delay of a pose from this
-            program to PX4, and the delay of an IMU sample from PX4 to this program.
+        round_trip_s: round trip of the link, or None if unknown. The round trip contains the delay of a pose
+            from this program to PX4, and the delay of an IMU sample from PX4 to this program.
         heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.
     """
     delay_ms = 1e3 * max(0.0, motion.latency_s + (round_trip_s or 0.0))

@@ -7,11 +7,11 @@ Let R be the attitude (FRD to NED), f the specific force and w the body rate. If
 the marker body by B, the poses show the attitude A R B, the rate B^-1 w and the acceleration A (R f + g).
 Matching the rates to the gyro therefore gives the age and B. The accelerations then give the scale and A g,
 the room's vertical. A mirrored room does not change the rates, because a rate is an axial vector. But the
-mirroring reverses the accelerations, so a negative correlation of the accelerations reveals it.
+mirroring reverses the accelerations, so a negative correlation of the accelerations reveals a mirrored room.
 
-Gyro and accelerometer pass through the same Gaussian filters as the poses. The second derivative of the
-Gaussian filters the noisy positions and differentiates them twice. The mean of each acceleration is
-subtracted, because the accelerometer also measures gravity.
+Gyro and accelerometer pass through the same Gaussian filters as the poses. A convolution with the second
+derivative of the Gaussian filters the noisy positions and differentiates them twice. The mean of each
+acceleration is subtracted, because the accelerometer also measures gravity.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class MotionEstimate(NamedTuple):
 
     Attributes:
         latency_s: time of receipt of a pose minus the time at which the vehicle had this pose.
-        rate_correlation: correlation of the poses' rates, corrected by `latency_s`, with the gyro's, -1 to 1.
+        rate_correlation: correlation of the poses' rates with the gyro's rates, after correction by
+            `latency_s`, -1 to 1.
         turned_rad_s: root mean square of the gyro's rates about the axes, FRD.
         body_to_frd: rotation from the pose's body axes to the gyro's axes, 3 x 3; identity if the axes agree.
         up_room: upward vertical in the poses' frame; (0, 0, -1) if this frame is NED.
@@ -160,10 +161,10 @@ def heading_offset_deg(pose_s: Array, q_body: Array, attitude_s: Array, q_frd: A
 
 
 def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
-    """Return the latency, seconds, at which the best rotation maps the poses' rates closest to the gyro's."""
+    """Return the latency, seconds, at which a rotation of the poses' rates best matches the gyro's rates."""
 
     def agreement(latency_s: float) -> float:
-        # The sum of the singular values, signed for a proper rotation, is Kabsch's best inner product.
+        # Kabsch: the best inner product is the sum of the singular values, signed for a proper rotation.
         reference = gyro_at(latency_s)
         u, s, vt = np.linalg.svd(reference.T @ pose_rate)
         s[2] *= np.sign(np.linalg.det(u @ vt))
@@ -196,7 +197,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times farther than `reach_s`, half the filter's width, from every pose gap."""
+    """Return a mask of the times that are farther than `reach_s` (half the filter's width) from every gap."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)

@@ -45,7 +45,7 @@ def create_record(vehicle: VehicleSource, connection: str) -> BringupRecord:
 
 
 def load_record(folder: Path, vehicle: VehicleSource, connection: str) -> BringupRecord:
-    """Return this vehicle's stored bring-up from a folder, or a new one if none is stored."""
+    """Return this vehicle's bring-up from a folder, or a new record if the folder has none."""
     path = folder / "bringup.json"
     try:
         found = msgspec.json.decode(path.read_bytes(), type=BringupRecord)

@@ -52,7 +52,7 @@ class DriverError(Exception):
 
 @runtime_checkable
 class Driver(Protocol):
-    """Interface of every driver. No method raises anything but `DriverError`."""
+    """Interface of every driver. The methods raise only `DriverError`."""
 
     def open(self) -> None:
         """Connect to the hardware without moving anything; may be called again."""
@@ -86,7 +86,7 @@ class DriverEntry(NamedTuple):
     Attributes:
         path: `module:class`, with the module in this package. The module is imported only when the driver is
             made, because a driver may need an optional package (pyserial).
-        words: description of the driver for people.
+        words: description of the driver in messages.
         needs: required arguments of `make_driver`, besides the configuration.
         takes: optional arguments of `make_driver`.
         simulated: whether the driver works in simulated time.
@@ -136,7 +136,7 @@ def make_driver(
     faults: MockFaults | None = None,
     gpio: bool = True,
 ) -> Driver:
-    """Return a driver of the lock's servo, for simulated time; for real hardware, use `owned_driver`.
+    """Return a driver of the lock's servo in simulated time; for real hardware, use `owned_driver`.
 
     Args:
         kind: kind of driver; by default the configured kind.

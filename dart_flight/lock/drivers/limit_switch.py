@@ -1,6 +1,6 @@
 """Limit switches at the ends of the travel, on GPIO lines, through libgpiod's Python package (version 2).
 
-A switch closes to ground. Unless configured otherwise, the line is therefore pulled up and active low.
+A switch closes to ground. By default, the line is therefore pulled up and active low.
 """
 
 from __future__ import annotations

@@ -57,15 +57,15 @@ class MaestroDriver:
         self._port: serial.Serial | None = None
 
     def device(self) -> ServoDevice:
-        """Return the serial port: only one process can open it, whichever channel it uses."""
+        """Return the serial port, which only one process can open, even if the channels differ."""
         return ServoDevice(device_key(self._config.port), self._config.port)
 
     def open(self) -> None:
         """Open the port and set the channel's speed limit.
 
         Raises:
-            DriverError: no Maestro answers, or the port cannot be opened. In the second case, the error's
-                `key` is the configuration key of the port.
+            DriverError: no Maestro answers, or the port cannot be opened. If the port cannot be opened, the
+                error's `key` is the configuration key of the port.
         """
         if self._port is not None:
             return

@@ -187,7 +187,7 @@ class Fault(msgspec.Struct, frozen=True):
     """A fault in a flight.
 
     Attributes:
-        value: in the unit of its kind.
+        value: size of the fault, in the unit of the fault's kind.
         phase: key of `PHASES`, or None for a fault from the start of the flight.
         after_s: delay after the start of the phase.
     """
@@ -244,7 +244,7 @@ def parse_fault(text: str, has_lock: bool = True, has_mocap: bool = True) -> Fau
 
 
 class Trigger:
-    """The trigger of a fault, which begins `after_s` after the mission first reaches the fault's phase."""
+    """The trigger of a fault: it begins `after_s` after the mission first reaches the fault's phase."""
 
     def __init__(self, fault: Fault) -> None:
         self._fault = fault
@@ -261,7 +261,7 @@ class Trigger:
         return self._since_us is not None
 
     def is_due(self, now_us: int) -> bool:
-        """Return whether the fault has begun; without phase and delay it begins before any record."""
+        """Return whether the fault has begun; a fault without phase and delay begins before any record."""
         if self._fault.phase is None and self._fault.after_s == 0.0:
             return True
         return self._since_us is not None and now_us - self._since_us >= self._fault.after_s * 1e6

@@ -23,7 +23,7 @@ _HEADER: Final = struct.Struct("<II")
 _BODY: Final = struct.Struct("<3f9f")
 _MAX_COMMAND: Final = 65536
 _POLL_S: Final = 0.2
-_SEND_S: Final = 2.0  # time after which a client that reads nothing is dropped
+_SEND_S: Final = 2.0  # a client that reads nothing for this time is dropped
 
 
 def _packet(kind: int, payload: bytes) -> bytes:

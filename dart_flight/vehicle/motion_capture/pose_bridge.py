@@ -22,7 +22,7 @@ _BODY_FRD: Final = 12  # MAV_FRAME of the velocities, which are not sent
 _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the MOCAP type
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that parameter is larger
 _ANGLE_SD_RAD: Final = 0.01
-_EARLY: Final = 0.125  # fraction of a period by which a frame may be early because of jitter
+_EARLY: Final = 0.125  # a frame may be early by this fraction of a period, because of jitter
 _STALE_US: Final = 300_000  # minimum age of a stale frame; longer than any latency with which PX4 can fly
 _JUMPED_US: Final = 1_000_000  # duration of stale frames that proves a clock jump; a delayed burst is shorter
 _FINE_US: Final = 100_000  # maximum difference between successive stamps for the stamps to be usable
@@ -122,7 +122,7 @@ class StaleFrames:
         self._since_us: int | None = None
 
     def contains(self, stamp_us: int, received_us: int) -> bool:
-        """Return whether a frame's age on arrival exceeds the smallest age so far by more than 0.3 s.
+        """Return whether a frame arrives over 0.3 s older than the youngest frame so far.
 
         If all frames during one second are stale, the source's clock has jumped. The next frame then counts
         as fresh.
@@ -143,11 +143,11 @@ class StaleFrames:
 class Stamps:
     """The rule that decides whether a source's stamps are the times of its frames.
 
-    The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. This is
-    decided before the vehicle takes off. If the stamps stop later, the poses count as lost.
+    The stamps are usable once two successive frames have stamps that differ by less than 0.1 s. The rule
+    decides this before the vehicle takes off. If the stamps stop later, the poses count as lost.
 
-    If no such pair arrives although the frames differ (empty stamps, whole seconds, frame numbers), the
-    bridge uses the time of arrival.
+    If the frames differ but no such pair arrives, the stamps are unusable: empty, whole seconds or frame
+    numbers. The bridge then uses the time of arrival.
 
     Attributes:
         usable: whether the stamps are usable, or None if this is not decided yet.
@@ -242,7 +242,7 @@ class MotionCaptureBridge:
 
     @property
     def missing(self) -> str | None:
-        """The reason why no usable pose has arrived for 3 s, or None if one has arrived."""
+        """The reason why no usable pose has arrived for 3 s, or None if a pose has arrived."""
         return self.problem if self._clock.host_us() - self._good_us > _MISSING_US else None
 
     def start(self) -> None:
@@ -292,8 +292,8 @@ def forwarding(
 ) -> Iterator[MotionCaptureBridge | None]:
     """Forward the poses of `config.url` while the context is open; if the URL is None, yield None.
 
-    `source` is the URL's source if it is already open; otherwise it is opened. Raise InputError if it cannot
-    be opened.
+    `source` is the URL's source if the caller has already opened it. Raise InputError if the source cannot be
+    opened.
     """
     if config.url is None:
         yield None

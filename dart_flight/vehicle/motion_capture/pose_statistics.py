@@ -30,7 +30,7 @@ _FRESH_US: Final = 500_000  # maximum age of PX4's estimate for a comparison wit
 class PoseFigures(msgspec.Struct, frozen=True):
     """The statistics of a stream of poses.
 
-    A value is None if it cannot be measured yet, or cannot be measured with this source.
+    A value is None if it is not known yet, or if the source does not allow its measurement.
 
     Attributes:
         rate_hz: tracked poses per second over the last 2 s.
@@ -160,7 +160,7 @@ class PoseStatistics:
             silent_us = max(0, now_us - times[-1])
             span_us = min(_RATE_US, max(now_us - self._first_us, 1))
             recent = sum(t > now_us - _RATE_US for t in times)
-            # The first pose starts the span and does not count.
+            # The first pose begins the first period, so do not count it.
             rate_hz = 1e6 * max(0, recent - (self._first_us > now_us - _RATE_US)) / span_us
         late_ms = self._late_ms() if self._late_us else None
         growth_ms = None

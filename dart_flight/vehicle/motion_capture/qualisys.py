@@ -26,7 +26,7 @@ _RETRY_S: Final = 1.0
 
 
 def body_names(parameters_xml: str) -> tuple[list[str], list[str]]:
-    """Return the names of all and of the enabled 6DOF bodies; raise ValueError if the input is not XML."""
+    """Return the names of all and of the enabled 6DOF bodies. Raise ValueError if the input is not XML."""
     try:
         bodies = list(ET.fromstring(parameters_xml).iter("Body"))
     except ET.ParseError as error:

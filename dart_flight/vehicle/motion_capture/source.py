@@ -1,8 +1,8 @@
 """The interface of a pose source, the check of its poses, and the parser of a pose source's URL.
 
 A source reads one body from one motion-capture system and delivers each pose as a `RawPose`, on its own
-thread. It delivers the numbers as it reads them; the bridge calls `checked_pose` for every pose. Each system
-has one module in this package, and only that module imports the vendor's client.
+thread. The source does not check the numbers; the bridge calls `checked_pose` for every pose. Each system has
+one module in this package, and only that module imports the vendor's client.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MAX_NAMES: Final = 5  # maximum number of names listed in a message
 
 
 class AbsentSourceError(InputError):
-    """A motion-capture server does not answer or does not stream the body; either may change at any time."""
+    """A motion-capture server does not answer or does not stream the body; a later attempt may succeed."""
 
 
 class RawPose(NamedTuple):
@@ -45,10 +45,10 @@ def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender
 
 
 def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
-    """Return a pose with normalised attitude, and None instead of a reason.
+    """Return a pose with normalised attitude, and None.
 
-    If the numbers are not a pose in metres, return a lost pose and the reason. A stamp that is not a time is
-    removed.
+    If the numbers are not a pose in metres, return a lost pose and the reason instead. A stamp that is not a
+    time is removed.
     """
     if pose.source_us is not None and abs(pose.source_us) > _MAX_US:
         pose = pose._replace(source_us=None)
@@ -108,10 +108,10 @@ class System(NamedTuple):
     """A motion-capture system.
 
     Attributes:
-        url: form of its URL, for messages and documentation.
-        module: module of this package that reads it.
+        url: form of the system's URL, for messages and documentation.
+        module: module of this package that reads the system's poses.
         port: default port; None: the URL must give a port.
-        multicast: whether it may send multicast, so that the URL may name a network interface.
+        multicast: whether the system may send multicast; if so, the URL may name a network interface.
     """
 
     url: str

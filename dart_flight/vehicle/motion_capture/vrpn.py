@@ -34,7 +34,7 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
     Raise ValueError if the server does not speak VRPN.
     """
     if not stream.read(len(_COOKIE)).startswith(_VERSION):
-        raise ValueError("no cookie of VRPN 7")
+        raise ValueError("the answer does not come from a VRPN 7 server")
     types: dict[int, str] = {}
     while len(header := stream.read(_HEADER.size)) == _HEADER.size:
         length, seconds, micros, sender, kind, number = _HEADER.unpack(header)
@@ -57,7 +57,7 @@ def read_poses(stream: BinaryIO, body: str, server: str, senders: dict[int, str]
 
 
 class VrpnSource:
-    """A source that reads sensor 0 of one sender, on its own thread; the body in the URL is the sender.
+    """A source that reads sensor 0 of one sender, on its own thread; the body in the URL names the sender.
 
     The constructor raises AbsentSourceError if no VRPN server answers, or the server does not list the
     sender.
@@ -119,7 +119,8 @@ class VrpnSource:
     def _read(self, link: socket.socket) -> None:
         link.sendall(_COOKIE)
         link.settimeout(None)
-        # The source sends nothing more, so only probes detect that the server has lost its network.
+        # The source sends nothing more. Only keep-alive probes then show that the server has lost its
+        # network.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)

@@ -280,7 +280,7 @@ def test_only_poses_of_the_named_vrpn_sensor_are_read() -> None:
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"SSH-2.0-OpenSSH_9.2", "no cookie of VRPN 7"),
+        (b"SSH-2.0-OpenSSH_9.2", "the answer does not come from a VRPN 7 server"),
         (VRPN_COOKIE + VRPN_NAMES + b"\0\0\0\x17" + VRPN_POSE[4:], "message of 23 bytes"),
         (VRPN_COOKIE + VRPN_NAMES + b"\xff\xff\xff\xff" + VRPN_POSE[4:], "message of 4294967295 bytes"),
         (VRPN_COOKIE + VRPN_NAMES + b"\0\0\0\x50" + VRPN_POSE[4:-8], "pose of 56 bytes"),

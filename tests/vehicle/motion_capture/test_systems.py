@@ -402,7 +402,7 @@ def test_a_vrpn_source_survives_nonsense_and_a_restart(monkeypatch: pytest.Monke
             link.recv(1)
         other = VRPN_COOKIE + VRPN_NAMES[40:] + VRPN_NAMES[:24] + b"\0\0\0\4cat\0" + bytes(8)
         for data, reason in (
-            (b"HTTP/1.1 400 Bad Request", "no cookie of VRPN 7"),
+            (b"HTTP/1.1 400 Bad Request", "the answer does not come from a VRPN 7 server"),
             (VRPN_COOKIE, "no answer"),
             (other, 'no sender "my dart", only "cat"'),
         ):
