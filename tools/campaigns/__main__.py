@@ -26,7 +26,14 @@ from rich.console import Console
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
 from dart_flight.lab.campaign import campaign_folder as campaigns
-from dart_flight.lab.campaign.campaign_spec import CampaignSpec, cases_of, items_of, load_specification
+from dart_flight.lab.campaign.campaign_spec import (
+    CampaignSpec,
+    campaign_of,
+    cases_of,
+    items_of,
+    load_specification,
+    points_of,
+)
 from dart_flight.lab.campaign.flight_job import ItemFlyer
 from dart_flight.run.workers import Interrupt, usable_cores
 from dart_flight.sim.px4.launch import ENVIRONMENT
@@ -130,10 +137,10 @@ def show_estimate(options: argparse.Namespace, names: Sequence[str]) -> int:
     """
     for name in names:
         campaign = load_campaign(options, name)
-        points = campaigns.points_of(campaign)
+        points = points_of(campaign)
         items = list(items_of(msgspec.structs.replace(campaign, runs=1), points))
         sample = items[:: max(1, len(items) // 3)][:3]
-        flyer = ItemFlyer(campaigns.campaign_of(campaign, points), points)
+        flyer = ItemFlyer(campaign_of(campaign, points), points)
         # Processor time does not depend on what else runs here, but PX4 flies in processes of its own.
         clock_s = time.monotonic if name.startswith("px4") else time.process_time
         began_s = clock_s()
