@@ -36,7 +36,7 @@ class OutputScale(msgspec.Struct, frozen=True):
 PWM = OutputScale("PWM", MOTOR_STOP_US, MOTOR_FULL_US, " us")
 DSHOT = OutputScale("DShot", 0.0, 1999.0)
 UAVCAN = OutputScale("UAVCAN", 0.0, 8191.0)
-SHARE = OutputScale("", 0.0, 1.0)  # motor outputs in a simulation's log
+SHARE = OutputScale("", 0.0, 1.0)  # scale of the motor outputs in a simulation's log
 
 
 def identify_scale(lowest: float, highest: float) -> OutputScale | None:

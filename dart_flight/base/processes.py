@@ -97,7 +97,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         self.pipe = self.stdin.fileno()
         self.send(first)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
-            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # a long contact takes 50 kB
+            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # samples of a long contact take 50 kB
         os.set_blocking(self.pipe, False)
         self.listener = threading.Thread(target=self._listen, name=module, daemon=True)
         self.listener.start()

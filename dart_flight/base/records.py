@@ -590,7 +590,7 @@ class ImpactPeak(Record, frozen=True, gc=False):
     position_mission: Vec3  # position at the normal peak
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # True: peak of the fitted contact model; False: of a parabola through the top
+    fitted: bool = False  # whether the peak is that of the fitted contact model, not of a parabola
 
 
 class ContactEnd(Record, frozen=True, gc=False):

@@ -47,7 +47,7 @@ class Stream(msgspec.Struct, frozen=True):
         return self.rate_hz if self.name == "imu" else min(self.rate_hz, 62.5)
 
 
-# Streams of stamped samples, one message each.
+# Streams whose samples have stamps; each stream is one message.
 SAMPLED: Final = (
     Stream("imu", "HIGHRES_IMU", 105, ImuSample, 250.0, 150.0),
     Stream("attitude", "ATTITUDE_QUATERNION", 31, AttitudeSample, 125.0, 45.0),

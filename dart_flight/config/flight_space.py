@@ -21,7 +21,7 @@ _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 _ON_POST_M = 0.01  # tolerance for the position of an impact point on a post
 _LIKE_CONTACT_DISTANCE_M = 0.03  # maximum deviation of a distance that counts as the contact distance
-LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these
+LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these keys
 
 
 class SpaceFile(Protocol):

@@ -88,7 +88,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
     Attributes:
         index: number in the list, from 1.
         position: mission frame, metres; None for a pause, which holds position. If the position
-            is relative to a wall that a probe must find, the wall is assumed at the end of the probe.
+            is relative to a wall that a probe must find, the wall is assumed to be at the end of the probe.
         speed_m_s: maximum speed of the leg to the waypoint.
         hold_s: hold time at a waypoint; for a pause, the timeout after which the vehicle lands.
         wall_at: the wall that `at_wall` names, or None.

@@ -8,7 +8,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Motor
 
 COUNT = "CA_ROTOR_COUNT"
-MAV_TYPES = {4: 2, 6: 13, 8: 14}  # motors: quadrotor, hexarotor, octorotor
+MAV_TYPES = {4: 2, 6: 13, 8: 14}  # number of motors -> MAV_TYPE of quadrotor, hexarotor and octorotor
 _AXES = ("PX", "PY", "KM")
 _MAX = 12  # maximum number of motors in PX4
 _PLACE_TOLERANCE_M = 0.03

@@ -34,7 +34,7 @@ class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
 
     at: Vec3
-    friction_at: Vec3  # point at which its friction acts: `at` with a reduced horizontal lever
+    friction_at: Vec3  # point at which the guard's friction acts: `at` with a reduced horizontal lever
 
 
 class Plane(NamedTuple):

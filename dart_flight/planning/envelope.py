@@ -21,7 +21,7 @@ from dart_flight.core.mission.planned_impact import expected_hit, impact_velocit
 # Largest normal speed without a warning; a body with guards tilts by more than 60 degrees at 3.5 m/s
 # (docs/px4.md).
 FLOWN_UP_TO_M_S = 3.0
-# Flights recovered from all impacts up to this incidence: at 2 m/s in both modes, at 3 m/s with rigid arms.
+# Flights recovered from all impacts up to this incidence: up to 2 m/s in both modes, up to 3 m/s if rigid.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible

@@ -77,7 +77,7 @@ class EstimatorWatch:
         """Finish a step; `position_ok` is the flag in PX4's status."""
         if (position_ok and not self._unhealthy) or self._excused:
             self._invalid_since_us = None
-        elif self._invalid_since_us is None and self._now_us:  # 0: no stamped sample has arrived yet
+        elif self._invalid_since_us is None and self._now_us:  # `_now_us` is 0 until a stamped sample arrives
             self._invalid_since_us = self._now_us
 
     def _reset_within(self, reach_us: int) -> EstimatorReset | None:

@@ -220,7 +220,7 @@ class Guard:
         if rule.of_streams:
             detail += self._flight.circumstances
         events.append(GuardEvent(state.now_us, rule.name, rule.action, detail))
-        if rule.action is Override.GIVE_UP:  # still on the ground
+        if rule.action is Override.GIVE_UP:  # the vehicle is still on the ground
             if state.status.armed:
                 events.append(VehicleCommand(state.now_us, VehicleAction.DISARM))
             self.end = MissionEnd(state.now_us, Outcome.ABORTED, f"{rule.name}: {detail}", None)

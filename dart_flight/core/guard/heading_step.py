@@ -38,7 +38,7 @@ class HeadingStep:
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
         self._waiting: AttitudeSample | None = None  # waits until the rates have reached its stamp
-        self._turns: deque[tuple[int, Quaternion]] = deque()  # stamp, D; the last 0.1 s
+        self._turns: deque[tuple[int, Quaternion]] = deque()  # stamps and D of the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:
         """Integrate the rate of `item`. The rate is the mean over the tick before the item's stamp."""

@@ -88,7 +88,7 @@ def _disarmed(flight: FlightConditions) -> str | None:
         return f"PX4 stopped the motors in the air; the vehicle has been falling for {falling_s * 1e3:.0f} ms"
     if flight.state.status.armed or not flight.was_armed or flight.state.on_ground or flight.land_asked:
         return None
-    # The reported state may be another vehicle's.
+    # Another vehicle may have reported this state.
     return None if flight.status_unreliable else "PX4 disarmed in the air"
 
 

@@ -74,7 +74,7 @@ DOWN_US = 200_000  # landed and disarmed must last this long, because one report
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
 BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # between collisions
-TO_IMPACT = frozenset({Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH})  # towards the next collision
+TO_IMPACT = frozenset({Phase.TRANSIT, Phase.PREPARE, Phase.APPROACH})  # phases before the next collision
 AT_WALL = frozenset({Phase.APPROACH, Phase.CONTACT})
 WATCHING = BETWEEN | frozenset(
     {
