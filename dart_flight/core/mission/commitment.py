@@ -27,8 +27,7 @@ from dart_flight.core.sense.state import FlightState
 STOP_MARGIN_M = 0.02
 # Margin before the predicted impact, for its timing error and one poll of the lock.
 SETTLED_BEFORE_S = 0.05
-# The paper's plan has a setpoint 0.5 m outside the bounds; a more distant setpoint pulls the vehicle off
-# course.
+# The paper's plan has a setpoint 0.5 m outside the bounds. A farther setpoint pulls the vehicle astray.
 SETPOINT_OUTSIDE_M = 2.0
 
 
