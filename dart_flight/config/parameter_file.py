@@ -196,7 +196,7 @@ def read_parameter_file(path: str | Path) -> ParameterFile:
                 )
             versions = (found["where"], found["name"])
         elif _COLUMNS.match(line):
-            reason.clear()  # the file's header is not the reason for a parameter
+            reason.clear()  # the lines above are the header, not the reason for a parameter
         elif line.startswith("#"):
             reason.append(line.lstrip("# "))
         else:
@@ -242,7 +242,7 @@ def format_parameters(values: Mapping[str, Value], head: Iterable[str], vehicle:
     lines = [
         f"# {line}" for line in (*head, "vehicle-id\tcomponent-id\tname\tvalue\ttype (6 INT32, 9 REAL32)")
     ]
-    lines.append("")  # the file's header is not the reason for a parameter
+    lines.append("")  # separates the header from the reason for the first parameter
     for name, value in values.items():
         kind = 6 if isinstance(value, int) else 9
         lines.append(f"{vehicle}\t{AUTOPILOT_COMPONENT}\t{name}\t{show_value(value)}\t{kind}")

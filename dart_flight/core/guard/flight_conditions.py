@@ -65,7 +65,7 @@ class FlightConditions:
         self.state = FlightState()  # replaced by the core's state at the first step
         self.force: ForceEstimate | None = None  # this step's estimate
         self.request: OperatorRequest | None = None  # this step's request
-        self.thrust_ratio: float | None = None  # over the last few seconds of free flight
+        self.thrust_ratio: float | None = None  # in the last few seconds of free flight
         self.land_asked = False
         self.kill_asked = False
         self.was_offboard = False

@@ -13,7 +13,7 @@ from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
 
 RETRY_US: Final = 1_000_000
-_OVERDUE_US: Final = 50_000  # a lock with a longer delay is overdue: two polls
+_OVERDUE_US: Final = 50_000  # after this delay, two polls, the lock is overdue
 
 
 class LockCommandState(NamedTuple):

@@ -16,7 +16,7 @@ from dart_flight.base.filters import VarianceEstimate, average_weight
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
-# The vehicle hovers below both limits: speed adds drag to the bias, and rotation adds lever-arm terms.
+# Below both limits the vehicle hovers. Speed would add drag to the bias, and rotation lever-arm terms.
 HOVER_SPEED_M_S: Final = 0.4
 HOVER_RATE_RAD_S: Final = 0.3  # limit of the sum of the body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
