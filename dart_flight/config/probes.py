@@ -49,8 +49,7 @@ def unknown_walls(spec: MissionFile, space: FlightSpace) -> dict[str, Wall]:
     """Return the walls at unknown positions, by name, each at the end of its probe's leg, square to the leg.
 
     Raise InputError if a probe has no direction, an unknown material or a name in use. Also raise it if a
-    collision with an unknown wall precedes the wall's probe, or if a condition names a wall without an
-    earlier probe.
+    collision with an unknown wall precedes its probe, or if a condition names a wall without earlier probe.
     """
     walls, materials = space.walls, space.vehicle.materials
     stiffest = max(materials, key=lambda name: materials[name].coefficients(Mode.RIGID).k)

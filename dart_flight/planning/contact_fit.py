@@ -57,9 +57,7 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 FIT_US: Final = 50_000  # simulated duration of a fit (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = (
-    5.3  # odds of 200 to 1 decide the mode; 1 of 1000 decisions is wrong (docs/contact_fit.md)
-)
+SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1 decide the mode; 1 of 1000 is wrong (docs/contact_fit.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame

@@ -571,9 +571,7 @@ class Executive:
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(
-                state.now_us
-            )  # a trajectory may first increase the distance
+            passed = self.progress.replan.is_over(state.now_us)  # the trajectory may first lead away
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # A trajectory is expected, so wait longer.
