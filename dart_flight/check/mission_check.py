@@ -468,7 +468,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
         free = there.t_s - here.t_s - here.contact_time_s
         how = "predicted"
     elif hit is not None and collision.impact_point is not None:
-        # The shortest flight time within the mission's speed limit.
+        # Compute the shortest flight time within the mission's speed limit.
         way = following.wall.signed_distance(collision.impact_point)
         free = way / mission.limits.speed_m_s
         how = "at least"
