@@ -18,7 +18,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Airframe
 
 SAMPLE_S: Final = 2.0  # duration of a measurement at one end
-_FEWEST: Final = 20  # poses of one measurement
+_FEWEST: Final = 20  # minimum number of poses in one measurement
 _TRACKED: Final = 0.9  # required share of poses with a tracked body
 _MOVED_M: Final = 0.02  # largest distance of a pose from the mean
 _TURNED_RAD: Final = math.radians(3.0)

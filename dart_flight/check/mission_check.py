@@ -203,7 +203,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the impact that the previous recovery is predicted to reach, at constant heading."""
+    """Describe the predicted impact to which the previous recovery leads, at constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
@@ -468,7 +468,7 @@ def _check_servo(mission: Mission, collision: Collision) -> list[CheckFinding]:
         free = there.t_s - here.t_s - here.contact_time_s
         how = "predicted"
     elif hit is not None and collision.impact_point is not None:
-        # The shortest flight time within the mission's speed limit.
+        # Compute the shortest flight time within the mission's speed limit.
         way = following.wall.signed_distance(collision.impact_point)
         free = way / mission.limits.speed_m_s
         how = "at least"

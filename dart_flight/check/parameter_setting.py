@@ -80,7 +80,7 @@ class ParameterReading(msgspec.Struct, frozen=True):
         return [row for row in self.rows if row.state is ParameterState.PRESENT]
 
     def names(self, state: ParameterState) -> list[str]:
-        """Return the listed parameters that are in a state."""
+        """Return the names of the rows in a given state."""
         return [row.name for row in self.rows if row.state is state]
 
 
@@ -90,7 +90,7 @@ class WriteReport(msgspec.Struct):
     Attributes:
         written: names whose new value was read back; without a `problem`, these are all names except
             `refused`.
-        refused: reason by name.
+        refused: reason of the refusal, by the parameter's name.
         problem: reason why the link was lost, or None. If the link was lost, `written` has the acknowledged
             names, which were not read back.
     """

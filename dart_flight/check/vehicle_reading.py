@@ -111,7 +111,7 @@ def _read_outputs(link: GroundLink, motors: int, unanswered: set[str]) -> dict[s
 def read_for_hitl(mission: Mission, url: str) -> VehicleReading:
     """Read a flight controller before it gets simulated sensors; raise the same errors as `read_vehicle`.
 
-    The URL is that of the application's link, not that of the link for simulated sensors.
+    The URL belongs to the application's link, not to the link for simulated sensors.
     """
     with GroundLink(url, mission.vehicle.connection.timeout_s) as link:
         mode = link.heartbeat_mode()

@@ -56,7 +56,7 @@ def _check_way_to_goal(mission: Mission, hits: Mapping[int, PredictedContact]) -
 
 
 def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
-    """Check that the vehicle fits between opposite walls, and that no partition was entered as two.
+    """Check that the vehicle fits between opposite walls, and that no partition was entered as two walls.
 
     Walls of a corner are not opposite. Both faces of a wall with `thickness_m` may be close.
     """

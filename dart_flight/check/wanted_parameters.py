@@ -39,7 +39,7 @@ _POSITION_TOLERANCE_M = 0.005
 _DELAY_TOLERANCE_MS = 0.5
 
 METADATA = "/etc/extras/parameters.json.xz"  # path on the flight controller, read by MAVLink FTP
-# Parameters that this program writes and PX4's source marks @reboot_required (release/1.18, 2026-08-08).
+# This program writes these parameters; PX4's source marks them @reboot_required (release/1.18, 2026-08-08).
 _RESTART = (
     "CBRK_FLIGHTTERM EKF2_EV_DELAY EKF2_GPS_DELAY EKF2_HGT_REF EKF2_MAG_TYPE IMU_GYRO_RATEMAX IMU_INTEG_RATE "
     "MAV_0_FORWARD MAV_1_CONFIG MAV_1_FLOW_CTRL MAV_1_FORWARD MAV_1_MODE MAV_1_RATE SDLOG_PROFILE "

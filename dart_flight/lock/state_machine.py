@@ -145,8 +145,8 @@ class LockStateMachine:
         self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the current travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output
-        self._closed_since_us: int | None = None  # start of the target switch's closure during a travel
-        self._wrong_since_us: int | None = None  # start of a lost pulse or of contradicting switches
+        self._closed_since_us: int | None = None  # time at which the target's switch closed during a travel
+        self._wrong_since_us: int | None = None  # time at which the pulse or a switch became wrong
         self._last_reading_us = t_us
         self._last: DriverReading | None = None
 

@@ -230,7 +230,7 @@ class ImpactCollector:
             self._open(self._mission.collisions[record.collision - 1], self._onset)
 
     def _open(self, collision: Collision, onset: ImpactOnset) -> None:
-        self._others = [other for other in self._others if other.t_us != onset.t_us]  # this one was planned
+        self._others = [other for other in self._others if other.t_us != onset.t_us]  # it was planned
         normal, tangential, _ = collision.wall.to_collision(onset.velocity_mission)
         self.impacts.append(
             FlownImpact(

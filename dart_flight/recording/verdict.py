@@ -57,7 +57,7 @@ _KEPT = 1024  # maximum number of estimates or true positions that wait for a co
 class ResetFigures(msgspec.Struct):
     """One reset of PX4's estimator.
 
-    Each figure is the largest step of that estimate within 0.1 s of the change of PX4's reset counter.
+    Each figure is the largest step of one estimate within 0.1 s of the change of PX4's reset counter.
 
     Attributes:
         position_m: step of the estimated position, relative to its prediction from the previous sample.

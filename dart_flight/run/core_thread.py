@@ -45,7 +45,7 @@ class CoreThread:
         self._shell, self._time, self._alive, self._after_step = shell, shell.time, alive, after_step
         self._queue: queue.SimpleQueue[Input] = queue.SimpleQueue()
         self._owner = threading.Lock()  # held by the thread that steps the core
-        self._work: set[int] = set()  # in lockstep the world waits for these queued inputs, by identity
+        self._work: set[int] = set()  # ids of queued inputs; in lockstep the world waits for these inputs
         self._pace = Pace.BATCHED  # only the owner changes it
         self._called = threading.Event()  # wakes the core's own thread
         self._fault: BaseException | None = None

@@ -29,7 +29,7 @@ FEED_PERIOD_S = 0.1  # longest period of feeding; a shorter period costs more wa
 _FEEDS = 5  # feeds due within `starve_s`; one of them must arrive
 _MIN_S = 0.001
 _WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
-_MAX_WORDS = 400  # longest read, in messages
+_MAX_WORDS = 400  # maximum number of messages in one read
 _MIN_PAUSE_S = 0.1
 
 

@@ -126,7 +126,7 @@ class FastFlight:
         self.core = FlightCore(mission)
         # Latency of the simulated computer, independent of this computer's speed.
         plan_us = round(true.vehicle.simulation.replan_latency_s * 1e6)
-        # Without a fault, the shell calls the observer directly, because every record passes through here.
+        # Without a fault, the shell calls the observer directly, which saves time for every record.
         notice = self._observe_record if fault is not None else observe or (lambda record, number: None)
         self._clock = _FastClock(self)
         self.shell = Shell(self.core, self, notice, InProcessTime(self._clock, plan_us))

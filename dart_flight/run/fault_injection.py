@@ -75,7 +75,7 @@ class FlightWithFault:
         self._out: LossyLink[Order] = LossyLink(seed + 1)
         self._vehicle: VehicleFault | None = None
         self._seed = seed
-        self.twin: SimulatedVehicle | None = None  # a second vehicle on the link, once it sends
+        self.twin: SimulatedVehicle | None = None  # second vehicle on the link; None until it sends
         self._ended = False
 
     @property

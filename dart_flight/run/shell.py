@@ -64,13 +64,13 @@ class Transport(Protocol):
 
 
 class LockOrders(Protocol):
-    """The part of the lock that the core commands."""
+    """The interface through which the core commands the lock."""
 
     def obey(self, order: LockCommand | LockPermission) -> None: ...
 
 
 class Poses(Protocol):
-    """The part of the motion capture that the core commands."""
+    """The interface through which the core commands the motion capture."""
 
     def withhold(self, *, attitude_only: bool) -> None: ...
 

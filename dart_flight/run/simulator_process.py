@@ -74,7 +74,7 @@ class SimulatorProcess:
 
     @property
     def port(self) -> int:
-        """UDP port that the autopilot has chosen to send to."""
+        """UDP port to which the autopilot has chosen to send."""
         assert self.ready is not None
         assert self.ready.port is not None
         return self.ready.port

@@ -56,7 +56,7 @@ class NatNetServer:
         while not self._closed.is_set():
             try:
                 data, client = self._socket.recvfrom(65535)
-            except OSError:  # the timeout, or a client that is gone
+            except OSError:  # timeout, or the client has disappeared
                 continue
             if len(data) < 4:
                 continue
