@@ -27,7 +27,7 @@ EXTRAS = ("sim", "identify", "report", "live")
 
 
 def pins() -> dict[str, str]:
-    """Return canonical name -> version of `constraints.txt`."""
+    """Return the pinned version of each package in `constraints.txt`, by canonical name."""
     rows = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pairs = (row.split("==") for row in rows if row and not row.startswith("#"))
     return {canonicalize_name(name): version for name, version in pairs}

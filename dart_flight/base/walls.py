@@ -161,12 +161,12 @@ class Wall(msgspec.Struct, frozen=True):
         return abs(self.along(position)) <= 0.5 * self.length_m
 
     def to_collision(self, v_mission: Vec3) -> Vec3:
-        """Convert a direction from the mission frame, by the transpose of the matrix in `from_collision`."""
+        """Convert a direction from the mission frame to the collision frame."""
         nx, ny = self.normal
         return (v_mission[0] * nx + v_mission[1] * ny, v_mission[0] * ny - v_mission[1] * nx, -v_mission[2])
 
     def from_collision(self, v_collision: Vec3) -> Vec3:
-        """Convert a direction to the mission frame; the columns of the matrix are the axes X, Y, Z."""
+        """Convert a direction from the collision frame to the mission frame."""
         nx, ny = self.normal
         return (
             v_collision[0] * nx + v_collision[1] * ny,

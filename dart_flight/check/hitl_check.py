@@ -78,7 +78,7 @@ def evaluate_hitl_outputs(values: Mapping[str, float]) -> list[CheckFinding]:
         return [CheckFinding(ON_A_BOARD, False, message)]
     if WITH_IO not in values or not turning:
         return []
-    message = f"{', '.join(turning)} drive motors, and a PX4IO stays active: set them to 0 and restart"
+    message = f"the PX4IO would turn real motors: set {', '.join(turning)} to 0 and restart PX4"
     return [CheckFinding("real_outputs", False, message)]
 
 

@@ -15,7 +15,7 @@ _LANDING_S = 60.0
 
 
 def check_log_space(mission: Mission, log_dir: Path) -> CheckFinding:
-    """Compare the free space of the log folder's disk with the log size of the longest flight."""
+    """Check that the disk of the log folder has room for the log of the longest flight."""
     there = next(folder for folder in (log_dir.absolute(), *log_dir.absolute().parents) if folder.exists())
     try:
         left = shutil.disk_usage(there).free

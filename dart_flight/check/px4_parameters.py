@@ -235,7 +235,7 @@ def evaluate_parameters(
 def _is_absent(
     missing: Parameter, wanted: Mapping[str, Parameter], values: Mapping[str, float], version: Version | None
 ) -> bool:
-    """Return whether this PX4 lacks a parameter; if the version is unknown, other parameters decide."""
+    """Return whether this PX4's version lacks a parameter; infer an unknown version from other parameters."""
     if version is not None:
         return missing.is_absent_in(version)
     # PX4 has either the parameter of an older version or its replacement, but not both.

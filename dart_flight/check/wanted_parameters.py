@@ -58,7 +58,7 @@ class ParameterState(StrEnum):
 
     PRESENT = "present"
     ABSENT = "absent"
-    NOT_ANSWERED = "not answered"  # neither the value nor the absence is known
+    NOT_ANSWERED = "not answered"  # unknown whether the vehicle has the parameter
 
 
 class ParameterRow(msgspec.Struct, frozen=True):

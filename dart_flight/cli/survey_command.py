@@ -186,7 +186,7 @@ def _room_table(walls: dict[str, dict[str, Any]]) -> Table:
 
 
 def _fly(arguments: argparse.Namespace, mission: Mission) -> Verdict | None:
-    """Touch the walls in the selected world or with the vehicle; return None if the vehicle did not fly."""
+    """Fly the survey with the vehicle or in the selected simulation; return None if there was no flight."""
     console = messages()
     refuse_unflyable(mission)
     if arguments.connection is not None:

@@ -1,6 +1,6 @@
 """A YAML file as a tree of plain values with line numbers, and its conversion to a type.
 
-PyYAML parses the text to events, so that this module can check depth, duplicate keys and aliases. msgspec
+PyYAML parses the text to events, in which this module checks depth, duplicate keys and aliases. msgspec
 converts and validates. This module adds the line, the full key and the nearest known name to errors.
 """
 
@@ -420,7 +420,7 @@ def _name(name: Any, key: Key, source: str) -> str:
     return str(name)
 
 
-# --- the smallest part that does not convert ---------------------------------------------------------
+# --- the location of a conversion error --------------------------------------------------------------
 
 
 def _locate_error(value: Any, type_: Any, key: Key, text: str) -> tuple[Key, str]:

@@ -279,7 +279,7 @@ def _with_comment(tail: str, shorter: int) -> str:
 
 
 def _nests(value: Any) -> bool:
-    """Return whether a value is written in several lines: a list or mapping that contains only mappings."""
+    """Return whether to write a value in several lines: True for a list or mapping of mappings only."""
     inner: Sequence[Any] = list(value.values()) if isinstance(value, dict) else value
     return isinstance(value, dict | list) and bool(inner) and all(isinstance(one, dict) for one in inner)
 

@@ -173,8 +173,8 @@ class HeldFile:
     def _open(self, *, last: bool) -> int | None:
         """Return the descriptor of the open file, or None if another attempt may succeed.
 
-        The file is created and opened in two steps, because with fs.protected_regular the kernel refuses
-        O_CREAT on a file of another account in a folder such as /run/lock.
+        Creating and opening are separate steps: with fs.protected_regular, the kernel refuses O_CREAT for
+        another account's file in a folder such as /run/lock.
         """
         flags = os.O_CLOEXEC | os.O_NOFOLLOW
         try:
@@ -206,7 +206,7 @@ def pass_kept() -> tuple[list[int], dict[str, str]]:
 
 
 def _kept_files() -> dict[Path, int]:
-    """Return the descriptors of the kept files, which may come from the parent process."""
+    """Return the descriptor of each kept file, including files passed on by the parent process."""
     global _kept  # noqa: PLW0603
     if _kept is None:
         _kept = {}

@@ -152,9 +152,9 @@ MOTIONS = {"automatic": (3.0, 4.0), "position": (5.0, 8.0), "replanning": (5.9, 
 class Limits(Section, frozen=True):
     """Limits of the mission, checked before and during the flight.
 
-    The default peak force stays below the accelerometer's full scale, 204 N, on every surface that was hit in
-    flights with a real PX4 (docs/px4.md). At the default speed limit, 3 m/s, a rigid impact on acrylic has a
-    peak force of 191 N.
+    The default of peak_force_n keeps the accelerometer below its full scale (204 N) on every surface that was
+    hit in flights with a real PX4 (docs/px4.md). At the default speed limit, 3 m/s, a rigid impact on acrylic
+    has a peak force of 191 N.
 
     Attributes:
         speed_m_s: maximum speed of an approach and of the flight.
@@ -170,8 +170,8 @@ class Limits(Section, frozen=True):
         friction_ratio: largest ratio of friction to normal force at an impact. Above a ratio of about 0.5, a
             friction coefficient measured at low sliding speed is not valid.
         peak_force_n: largest contact force, normal and friction together.
-        collision_timeout_s: timeout of a recovery, after which the vehicle flies to the goal; if the recovery
-            leads to another wall, the vehicle breaks off instead.
+        collision_timeout_s: timeout of a recovery. After the timeout the vehicle flies to the goal, or breaks
+            off if the recovery leads to another wall.
     """
 
     speed_m_s: Annotated[float, Meta(gt=0.0, le=20.0)] = 3.0
@@ -247,7 +247,7 @@ class PlaceAtWall(Section, frozen=True):
     """A position relative to a wall, known once the vehicle has touched the wall.
 
     Attributes:
-        wall: a wall that an earlier probe searches for, or any other wall of the mission.
+        wall: name of the wall; an earlier probe may search for this wall.
         away_m: distance of the vehicle's centre from the plane on which the centre lies at first touch.
         along_m: distance from the wall's middle, or from the point of contact if a probe has found the wall;
             positive to the right when looking along the normal.

@@ -12,9 +12,9 @@ The paper specifies neither the lever arm of the friction nor the lever arm of t
 parameters (`config/vehicle/simulation.py`, `ContactBody`). The friction acts at a point with a reduced lever
 arm. The sliding velocity is computed at the same point, so friction only removes energy.
 
-Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. Its
-guard thereby moves back by a fraction of the penetration (`fold_angles`). The law already contains this
-movement as a smaller k, so the fold angles are only used to displace the arms' motors.
+Unlocked arms fold: each arm rotates in the horizontal plane about a bearing in the vehicle's middle. The
+arm's guard thereby moves back by a fraction of the penetration (`fold_angles`). The smaller k of unlocked
+arms accounts for this movement, so the fold angles only displace the arms' motors.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Plane(NamedTuple):
         normal: outward unit normal.
         tangent: Y axis of the collision frame.
         down: Z axis of the collision frame.
-        half_length_m: distance from `point` to either end, along the tangent; for guards near an end, use
+        half_length_m: distance from `point` to each end, along the tangent; for guards near an end, use
             `contact/cylinders.py` instead of `touch`.
     """
 

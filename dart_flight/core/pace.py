@@ -29,8 +29,8 @@ class Pace(Enum):
 def pace_near_walls(mission: Mission, state: FlightState, phase: Phase) -> Pace:
     """Return `BATCHED` or `IMMEDIATE`, depending on the vehicle's position.
 
-    In a contact the pace is `IMMEDIATE`. In any other phase the pace is `IMMEDIATE` if the vehicle may reach
-    a wall within 0.2 s. The test includes the guard's tolerances for early and late contacts.
+    The pace is `IMMEDIATE` during a contact, and while the vehicle may reach a wall within 0.2 s. The
+    second condition includes the guard's tolerances for early and late contacts.
     """
     if phase is Phase.CONTACT:
         return Pace.IMMEDIATE

@@ -23,7 +23,7 @@ PREDICTED = {"color": "#e8871e", "linestyle": (0, (1, 1.2)), "linewidth": 2.2}
 REPLANNED = {"color": "#8a3fb5", "linestyle": (0, (4, 1.2, 1, 1.2)), "linewidth": 1.8}
 FORCE, GUARD, SET_POINT = "#c2261d", "#b00020", "#1b7a3d"
 GREY = "#666666"
-LINES = (TRUE, ESTIMATED, PREDICTED)  # line styles for several quantities from one source
+LINES = (TRUE, ESTIMATED, PREDICTED)  # line styles if one axis shows several quantities of one source
 _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dart-flight",

@@ -226,7 +226,7 @@ def drawn_walls(walls: Sequence[Wall], airframe: Airframe) -> Iterator[DrawnWall
 
 
 def _gap_behind_m(own: Wall, surfaces: Sequence[Wall]) -> float:
-    """Return the distance from a surface to the nearest opposite surface behind it, or infinity."""
+    """Return the distance to the nearest surface behind `own` that faces the other way; infinity if none."""
     gaps = [math.inf]
     for face in surfaces:
         opposed = own.normal[0] * face.normal[0] + own.normal[1] * face.normal[1] < _OPPOSED

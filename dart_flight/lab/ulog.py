@@ -220,7 +220,7 @@ def motor_commands(log: ULogFile) -> MotorCommands:
 
 
 def _motor_count(log: ULogFile) -> int:
-    """Return the number of motors in the parameters, or four if the parameters do not contain it."""
+    """Return the number of motors according to the parameters, or four if they do not specify it."""
     count = log.parameters.get(COUNT, 0.0) or _MOTORS_OF_TYPE.get(int(log.parameters.get("MAV_TYPE", 0.0)), 4)
     return int(min(count, _LONGEST_COUNT))
 

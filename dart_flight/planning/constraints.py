@@ -241,8 +241,8 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """Return whether the executive would abort the approach because the lock is still moving.
 
-        `ready` has the states at the time at which the lock settles; `after_s` is the time from the release
-        to the impact.
+        `ready` contains the states when the lock has settled; `after_s` is the time from the release to the
+        impact.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
@@ -311,10 +311,10 @@ def _hits_post(post: Post, corner_m: float, w: GridWindow) -> NDArray[np.bool_]:
 def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
     """Return tables of the braking distance for `lock_in_time`, computed by the executive's rule.
 
-    The braking distance is proportional to a sum: the speed plus `ATTITUDE_LAG_S` times the acceleration. The
-    tables give the distance for a sum of 1 m/s. The first table holds for an acceleration towards the wall,
-    the second for an acceleration away from the wall. A third array contains, for each entry, the fraction of
-    the sum that is due to the speed.
+    The braking distance is proportional to the sum of the speed and of `ATTITUDE_LAG_S` times the magnitude
+    of the acceleration. The tables give the braking distance at which this sum is 1 m/s. The first table
+    holds for an acceleration towards the wall, the second for an acceleration away from the wall. A third
+    array contains, for each entry, the speed's fraction of this sum.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

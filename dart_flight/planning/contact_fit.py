@@ -6,8 +6,8 @@ two guards unequally.
 
 Here x is the signed distance of the vehicle's centre to the wall's plane. The angle of incidence i is
 positive if the vehicle is turned left. Each side of the vehicle has a right guard (g = 1) and a left guard
-(g = -1). The guards are at the distance a (`guard_along_m`) from the side's middle. The side is at the
-distance d (`contact_distance_m`) from the centre:
+(g = -1). Each guard is a distance a (`guard_along_m`) from the middle of its side. The side is a distance d
+(`contact_distance_m`) from the vehicle's centre:
 
     x_g = x - g a sin i + d (1 - cos i)                         depth of a guard
     F   = sum of max(0, -(k x_g + f dx_g/dt)/2)                 normal force, over both guards

@@ -149,14 +149,14 @@ class TangentialShape(NamedTuple):
 
 
 class ContactStage:
-    """The contact model of one material in one mode with one pair of gains, prepared for many impacts.
+    """The contact model for one material, mode and pair of gains, prepared for many impacts.
 
     Attributes:
         duration_s: time from the onset to the release; infinite if the vehicle stays at the wall.
         peak_s: time from the onset to the peak of the normal force.
         engaged_s: time from the onset until PX4 uses the recovery setpoint, at most `duration_s`.
-        lead_s: the contact begins where x + lead_s x' = 0. `lead_s` is f/k with the onset rule `lcp`, and 0
-            with `touch`.
+        lead_s: the contact begins when x + lead_s x' becomes 0. `lead_s` is f/k with the onset rule
+            `lcp`, and 0 with `touch`.
     """
 
     def __init__(

@@ -10,8 +10,8 @@ drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
 This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
 matrix product gives the positions of all candidates on a grid of times. An event, such as an impact, is first
 found between two grid points. Near a grid point, the solution is the Taylor series of the matrix exponential.
-Up to half a grid step away, this series is exact to rounding. Newton's method finds the time of the event in
-this series. The model does not step through time.
+Within half a grid step of the grid point, this series is exact to rounding. Newton's method finds the time of
+the event in this series. The model does not step through time.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Rows = NDArray[np.intp]
 
 GRID_S = 0.05
 WINDOW = 20  # grid steps evaluated together; most events are within the first second
-_ORDER = 11  # series order; one grid step away, the fastest mode's next term is 1e-13 of the position
+_ORDER = 11  # order of the series; after one grid step, the next term is at most 1e-13 of the position
 _NEWTON_STEPS = 6
 _SINGLE_M = 1e-4  # tolerance, well above the rounding of single precision
 
@@ -237,8 +237,8 @@ def closest(
 
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.
-        low, high: range of the search: one grid step to either side. `low` is 0 if a flight begins at the
-            grid point, and `high` is 0 if a flight ends there.
+        low, high: range of the search: one grid step before and after the grid point. `low` is 0 if a flight
+            begins at the grid point, and `high` is 0 if a flight ends there.
     """
     both = np.stack((x, y), axis=1)
     at = np.array(goal)[:, None]

@@ -65,8 +65,8 @@ class PredictedFlight(msgspec.Struct):
             the impact. For a collision with its own trajectory, the line consists of points of this
             trajectory.
         legs: arrays (n, 4) of x, y, vx, vy by collision index. A leg begins at the onset of a contact. The
-            leg ends at the next onset, or at the closest approach to the goal. Index 0 is a trajectory from
-            rest at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
+            leg ends at the next onset, or at the closest approach to the goal. The leg with index 0 leads
+            from rest at the start to the goal. In the first row of a leg after a contact, the velocity is 0.
         hits: contacts that the model reaches, by collision index.
         goal_miss_m: smallest distance to the goal after the last contact; None if not predicted.
         walls: walls at random positions, drawn from the uncertainty that the mission declares; empty if the

@@ -34,7 +34,7 @@ _SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
 
 
 class RejoiningTrajectories(NamedTuple):
-    """The n candidate trajectories back to a planned trajectory, sampled at k times each.
+    """Candidate trajectories (n) that lead back to a planned trajectory; each is sampled at k times.
 
     Attributes:
         shares: (k,) sampling times, as fractions of each duration.

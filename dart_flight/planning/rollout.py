@@ -105,7 +105,7 @@ class Arrivals(NamedTuple):
 
 
 class _AtWall(NamedTuple):
-    """Candidates at the onset on one wall; arrays (n,). The velocity is in the wall's frame."""
+    """Candidates at the onset of a contact with one wall; arrays (n,), velocity in the wall's frame."""
 
     wall: Wall
     number: int  # number of the wall in the sequence, from 1

@@ -34,7 +34,7 @@ FRAMES = {
     "_mission": "mission frame: x along its heading, y left, z up",
     "_ned_rad": "heading, clockwise from north",
 }
-# Units by the beginning of a name, for names without a unit ending.
+# Units of names that do not end with a unit, by the beginning of the name.
 QUANTITIES = {
     "position_": "m",
     "velocity_": "m/s",

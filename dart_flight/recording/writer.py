@@ -1,10 +1,10 @@
 """The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
-Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered, and the
-sequence number of each message is an input's number. A recorded input has its own number. Any other record
-has the number of the input that caused the record. A replay feeds the inputs in the order of their numbers.
-Log times are on the autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and
-the description of the flight relates the monotonic clock to the calendar.
+Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered. If a message
+contains an input, its sequence number is this input's number. Any other message has the number of the input
+that caused the record. A replay feeds the inputs in the order of their numbers. Log times are on the
+autopilot's clock. `ClockOffset` relates this clock to the host's monotonic clock, and the description of the
+flight relates the monotonic clock to the calendar.
 
 A separate thread encodes and writes the records in small chunks, so a killed process loses at most the last
 0.2 s of records. Once a second the thread syncs the chunks to the disk, because a crash of the vehicle may
@@ -70,7 +70,7 @@ class LogPart:
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
     def flush(self) -> None:
-        # The library ends a chunk only at a megabyte, so a killed process would lose seconds of records.
+        # Otherwise the library ends a chunk only at 1 MB, and a killed process would lose seconds of records.
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._file.flush()
 

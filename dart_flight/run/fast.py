@@ -98,8 +98,8 @@ class FastFlight:
 
     Args:
         seed: seed of the sensor noise.
-        observe: receives each input with the input's number. Afterwards it receives, with the same number,
-            each output and note (such as `SetpointSent`) that the input causes.
+        observe: receives each input and the input's number. Then it receives each output and note (such as
+            `SetpointSent`) that the input causes, with the same number.
         world: simulated world with random differences from the mission (`sim.draws`) and with the faults of
             the mock servo, or None for no differences.
     """

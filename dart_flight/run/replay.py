@@ -1,6 +1,6 @@
 """Replay of a recorded flight through the flight core, with a comparison of every output.
 
-A new core, built from the mission in the log, gets the inputs in the order of their numbers. The truth and
+The mission in the log configures a new core, which gets the inputs in the order of their numbers. Truth and
 the shell's notes are not inputs. On the same kind of machine, outputs must be equal bit for bit. On another
 kind of machine a relative error of 1e-9 is allowed, because the mathematics library may round differently.
 

@@ -36,7 +36,7 @@ class SimulatorError(FlightError):
 
 
 class SimulatorProcess:
-    """Simulated vehicle in its own process and session; it continues after Ctrl-C and the end of the app.
+    """Simulated vehicle in its own process; Ctrl-C and the end of the app do not interrupt its flight.
 
     `on_truth` is called on a separate thread.
     """
@@ -58,7 +58,7 @@ class SimulatorProcess:
 
     @property
     def died(self) -> bool:
-        """Whether the vehicle has reported its end, or its process has ended."""
+        """Whether the world has reported its end, or its process has ended."""
         return self._cause is not None or self.process.poll() is not None
 
     @property
@@ -74,7 +74,7 @@ class SimulatorProcess:
 
     @property
     def port(self) -> int:
-        """UDP port to which the autopilot has chosen to send."""
+        """UDP port that the autopilot has chosen for its telemetry."""
         assert self.ready is not None
         assert self.ready.port is not None
         return self.ready.port

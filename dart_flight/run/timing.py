@@ -120,7 +120,7 @@ class RealTime:
 
 
 class InProcessTime(RealTime):
-    """Simulated time in one process with the vehicle: planning takes the simulated computer's time."""
+    """Simulated time for app and vehicle in one process; a planner's answer takes a fixed simulated time."""
 
     def __init__(self, clock: Clock, plan_us: int) -> None:
         super().__init__(clock)

@@ -116,8 +116,8 @@ WorldInput = HornPosition | Ping | FaultLine | Stepped
 class Ready(msgspec.Struct, tag="ready"):
     """The first message of a simulated vehicle: the autopilot now sends telemetry.
 
-    `port` is the UDP port to which the autopilot sends, if the autopilot has chosen it. `mocap_url` is the
-    URL of an emulated motion-capture server, if there is one.
+    `port` is the UDP port of the telemetry, if the autopilot has chosen this port. `mocap_url` is the URL of
+    an emulated motion-capture server, if there is one.
     """
 
     time_us: int

@@ -15,14 +15,14 @@ import numpy as np
 
 from dart_flight.config.vehicle import Motor, effectiveness
 
-_SCALE_DIGITS = 4  # decimals of the scale; a quadrotor then has 0.7071, as in every recorded flight
+_SCALE_DIGITS = 4  # decimals of the largest entry: 0.7071 for a quadrotor, as in every recorded flight
 _SHAPE_DIGITS = 9  # decimals of the shape; further decimals are rounding errors of the inverse
 
 
 def scaled_mix(motors: Sequence[Motor]) -> tuple[float, list[tuple[float, float, float, float]]]:
-    """Return the largest scaled entry of roll and pitch, and one row per motor: roll, pitch, yaw, lift.
+    """Return the largest entry of the scaled roll and pitch columns, and one row per motor.
 
-    In the rows, roll and pitch are divided by the largest entry.
+    A row contains roll, pitch, yaw and lift; its roll and pitch are divided by the returned largest entry.
     """
     mix = np.linalg.pinv(np.array(effectiveness(motors)))
     size = np.abs(mix) > 1e-6

@@ -411,7 +411,7 @@ class GroundLink:
     def observe(self, vehicle: VehicleConfig, seconds: float) -> Observation:
         """Request the rates in the stream table and listen for `seconds`.
 
-        If PX4 has no position or refuses to arm, wait up to 5 s longer until PX4 reports the reasons.
+        If PX4 has no position or refuses to arm, wait up to 5 s longer for PX4's reasons.
         """
         seen, session = self._listener.seen, self._session
         seen.systems = (self._system_id, self._own_system)

@@ -465,7 +465,7 @@ class VehicleSession:
         self._deliver(StatusText(self.clock.to_autopilot(received), received, *text))
 
     async def detect_other_autopilot(self) -> None:
-        """Deliver one record if another autopilot, with another system id, sends on the link."""
+        """Deliver one record if an autopilot with a different system id sends on the link."""
         if self._other is not None:
             return
         own = self._raw.get_system_id()

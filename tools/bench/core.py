@@ -95,7 +95,7 @@ def measure() -> Figures:
 
 
 def _sum_of_shortest_s(times_of: Callable[[], list[float]]) -> float:
-    """Run the same work several times and return the sum of each piece's shortest time.
+    """Run the same pieces of work several times; return the sum of the shortest time of every piece.
 
     Other load on the machine rarely delays the same piece in every run.
     """
@@ -175,7 +175,7 @@ def _imu_step_s(mission: Mission, inputs: list[Input]) -> float:
 
 
 def _drive(mission: Mission, recorded: _Recorded) -> list[float]:
-    """Repeat the recorded orders on a vehicle without a core, and return the times of its ticks."""
+    """Simulate the vehicle with the recorded orders and without a core; return the times of its ticks."""
     clock, times = time.process_time, []
     vehicle = SimulatedVehicle(mission, 1, simulated_driver(mission))
     autopilot, advance = vehicle.autopilot, vehicle.advance

@@ -42,7 +42,7 @@ from dart_flight.run.flight_record import FlightRecord
 from tools.bench.impact_source import MISSION, Record, free_udp_port
 
 IMPACTS = 500
-PERIOD_S = 0.3  # more than a contact of 46 ms, the detection of its end and the refractory time
+PERIOD_S = 0.3  # longer than the contact (46 ms), the detection of its end and the refractory time together
 _MATCH_M = 1e-3  # tolerance for matching a setpoint on the wire with a setpoint of the core
 _LONGEST_NS = 100_000_000
 

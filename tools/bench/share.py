@@ -87,7 +87,7 @@ def _drop(_: object) -> None:
 
 
 async def whole_app(mission: Mission, url: str, seconds: float) -> Shares:
-    """Measure link, core, lock, log, deadman and terminal, as in `fly`."""
+    """Measure the parts of the app in a flight: link, core, lock, log, deadman and terminal."""
     with tempfile.TemporaryDirectory() as folder:
         record = FlightRecord(mission, World.EMBEDDED, None, Path(folder))
         app = FlightApp(mission, url, record, AppOptions(deadman_note=Path(folder) / "deadman.txt"))

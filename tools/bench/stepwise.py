@@ -26,7 +26,7 @@ _ACTION_SHARE = 0.3  # share of the largest acceleration; small, so that episode
 
 
 def shuttle_seconds(steps: int) -> float:
-    """Return the processor seconds of steps of the environment."""
+    """Return the processor time of this number of environment steps, seconds."""
     environment, spent_s = ShuttleEnv(), 0.0
     environment.action_space.seed(1)
     environment.reset(seed=1)

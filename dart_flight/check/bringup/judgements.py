@@ -40,7 +40,7 @@ _PUSH_US = 30_000  # averaging time; longer than a bump, shorter than a push
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
 _TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # minimum motion that shows all axes
-_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; the rates of unrelated motions reached 0.8
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; unrelated motions had up to 0.8 in the rates
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1
 _OLDEST_POSE_MS = 100.0
@@ -350,7 +350,7 @@ def evaluate_motion(
 
     Args:
         motion: estimate from poses, gyro and accelerometer.
-        config: configuration with which the poses were converted.
+        config: configuration that was used to convert the poses.
         round_trip_s: round trip of the link, or None if unknown. The round trip contains the delay of a pose
             from this program to PX4, and the delay of an IMU sample from PX4 to this program.
         heading_off_deg: PX4's heading minus the heading of the poses, or None if unknown.

@@ -70,12 +70,12 @@ def estimate_motion(
     """Estimate how poses relate to the gyro and accelerometer readings of the same motion.
 
     Args:
-        pose_s: times of receipt of the poses, seconds on the IMU's clock, shape (n,).
+        pose_s: time at which each pose was received, on the IMU's clock, seconds, (n,).
         position: positions in the poses' frame, metres, (n, 3).
         q_body: attitudes, body to the poses' frame, (n, 4).
         imu_s: stamps of the IMU's samples, seconds, (m,).
         rate_frd: body rates, rad/s, (m, 3).
-        force_frd: specific forces, m/s2, (m, 3).
+        force_frd: accelerometer readings, m/s2, (m, 3).
 
     Raises:
         NotEnoughMotionError: the poses and the IMU samples overlap for too short a time.

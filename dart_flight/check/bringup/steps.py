@@ -134,10 +134,10 @@ def attitude_at(samples: Sequence[AttitudeSample], t_us: int) -> Quaternion | No
 
 
 class Bringup:
-    """The inputs of the steps: one vehicle and its operator. The link stays open between steps.
+    """A runner of bring-up steps for one vehicle. The link stays open between steps.
 
     Args:
-        mission: provides the vehicle and the required streams.
+        mission: specifies the vehicle and the required streams.
         url: MAVSDK connection URL.
         wait_s: timeout for an action of the operator, seconds.
         opened: called after the link has opened, for example `LinkLease.lock_device`.
@@ -256,7 +256,7 @@ class Bringup:
         )
         force = t.force_at(push.t_us)
         if force is None:
-            return failed("no force estimate: attitude or motor outputs do not arrive (see link)")
+            return failed("no force estimate: PX4 sends no attitude or motor outputs; run the step link")
         return judgements.evaluate_push(push.acceleration_m_s2, force)
 
     def evaluate_servo(self) -> StepFinding:

@@ -268,7 +268,7 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
     base = document.tree.pop(EXTENDS)
     if not isinstance(base, str):
         raise document.error((EXTENDS,), "expected the name of a configuration file")
-    path = Path(document.source)  # a document built in Python is in the working folder
+    path = Path(document.source)  # relative to the working folder if the document was built in Python
     seen = (*seen, path.resolve())
     below = path.parent / base
     if below.resolve() in seen:

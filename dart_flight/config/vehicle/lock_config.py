@@ -43,7 +43,7 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: tolerance of the pulse width within which the servo counts as being at an end.
+        tolerance_us: the servo is at an end if the pulse width differs from the end's by at most this value.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -127,7 +127,7 @@ class Maestro(DriverSection, frozen=True):
 
     Attributes:
         port: serial port, such as /dev/ttyACM0.
-        channel: the controller's channel to which the servo is connected.
+        channel: the servo's channel on the controller.
         baud: baud rate of the serial line.
         speed_limit_us_s: speed limit of the pulse width, a multiple of 25; 0: none.
         reply_timeout_s: timeout for a reply from the controller.
@@ -177,7 +177,7 @@ class Px4Output(DriverSection, frozen=True):
 
     Attributes:
         actuator_index: index of PX4's output function "Peripheral via Actuator Set", 1 to 6.
-        bank: bank of the pin to which the servo is connected.
+        bank: bank of the servo's pin.
         pin: number of the pin in its bank.
         timer: number of the pin's timer group, which must run at 50 Hz (`PWM_<bank>_TIM<timer>`).
         min_pulse_us: pulse width for actuator value -1, `PWM_<bank>_MIN<pin>`.
@@ -239,7 +239,7 @@ class LockStartup(StrEnum):
     ADOPT = "adopt"
 
 
-NO_LOCK = "none"  # value of `driver` for a vehicle without a lock, which ignores the other keys
+NO_LOCK = "none"  # value of `driver` if the vehicle has no lock; the other keys are then ignored
 
 
 class LockConfig(Section, frozen=True):
@@ -249,11 +249,11 @@ class LockConfig(Section, frozen=True):
         driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are
             ignored.
         startup: home: move to home_mode; adopt: use the current position.
-        home_mode: end to which `home` moves.
+        home_mode: mode into which `home` moves the lock.
         relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
             back.
-        timeout_s: timeout of the travel, and of the readings of a limit switch. If either is exceeded, the
-            lock is in fault.
+        timeout_s: timeout of the travel, and of the readings of a limit switch. After a timeout, the lock is
+            in fault.
         debounce_s: minimum duration of a limit-switch change or pulse loss; shorter changes are ignored.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
             both lines; null: there is no switch, and a movement of the lock counts as complete after the

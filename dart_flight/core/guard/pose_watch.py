@@ -76,7 +76,7 @@ class PoseWatch:
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # times between tracked poses, us
-        self._ages: deque[tuple[int, int]] = deque()  # receipt, and receipt minus the source's stamp
+        self._ages: deque[tuple[int, int]] = deque()  # time of receipt; this time minus the source's stamp
         self._least_age_us: int | None = None
         self._other: PoseSample | None = None  # newest pose of the previous sender
         self._alternates_us: int | None = None  # host time at which two senders last alternated

@@ -349,8 +349,8 @@ RULES: tuple[Rule, ...] = (
            "difference is noted without an action",
            "mode_mismatch"),
     _found("lock_late", _BREAK_OFF,
-           "the lock is not in the planned mode at the last moment for stopping; the approach continues only "
-           "if the lock will settle 0.05 s before the impact and an impact in either mode is acceptable"),
+           "the lock is not in the planned mode at the last moment for stopping; to continue, the lock must "
+           "settle at least 0.05 s before the impact, and the impact must be acceptable in both modes"),
     _found("lock_not_ready", _LAND,
            "the lock did not reach the planned mode before the approach", "lock.timeout_s"),
     _found("no_approach", _HOLD,

@@ -1,9 +1,9 @@
 """The last moment for stopping: whether to continue towards a wall while the lock is still moving.
 
 An approach continues while holding position would still stop the vehicle before the wall. After that moment,
-the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the
-impact, and the impact must be acceptable in *either* mode. If a servo without feedback is stuck, the impact
-occurs in the mode that was not planned. Executive, planner and `check` use this rule.
+the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the impact,
+and the impact must be acceptable in *both* modes. If a servo without feedback is stuck, the impact occurs in
+the mode that was not planned. Executive, planner and `check` use this rule.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def is_acceptable_in_either_mode(
     place: tuple[Number, Number],
     velocity_m_s: tuple[Number, Number],
 ) -> Number:
-    """Return whether an impact stays within force, tilt and bounds for either state of the arms.
+    """Return whether an impact meets the limits of force, tilt and flight space in every mode of the arms.
 
     Args:
         bounds: the flight space; the recovery setpoint may lie `SETPOINT_OUTSIDE_M` outside.

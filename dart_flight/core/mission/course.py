@@ -54,7 +54,7 @@ class Course(NamedTuple):
         return self._transit(target, speed_m_s or flying.transit_speed_m_s, flying)
 
     def fly_to_waypoint(self, place: Vec3, flying: Flying, speed_m_s: float) -> Course:
-        """Fly from the current target to a waypoint, from rest to rest, and keep the waypoint's altitude."""
+        """Fly from rest at the target to rest at a waypoint, whose altitude then applies to later targets."""
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:

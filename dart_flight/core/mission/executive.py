@@ -443,7 +443,7 @@ class Executive:
                 self._end_probe(collision, state, p)
             return
         since_s = self.progress.elapsed_us(state) * 1e-6 - self.progress.course.duration_s
-        # A trajectory may begin beside the wall to be hit, behind the wall's plane.
+        # A trajectory may begin beyond the wall's end and behind its plane, so check only near the impact.
         if since_s > -_NEAR_S or collision.trajectory is None:
             self._check_contact_due(collision, state, sensed, p)
         if since_s <= 0.0:  # the timeout begins at the planned impact

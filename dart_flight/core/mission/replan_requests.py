@@ -118,8 +118,8 @@ class ReplanRequests:
         """Return whether to repeat the request, in a mission with its own trajectories.
 
         A request is repeated at the earliest `_AGAIN_US` after the last request, and not near the end of the
-        active trajectory. If the vehicle missed the beginning of the new trajectory, no trajectory is active;
-        the request is then repeated too.
+        active trajectory. The request is also repeated if the vehicle has missed the beginning of the new
+        trajectory, so that none is active.
         """
         trajectory, asked = replan.trajectory, replan.request
         if asked is None or self._mission.goal_trajectory is None or now_us - asked.t_us < _AGAIN_US:

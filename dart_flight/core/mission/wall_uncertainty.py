@@ -25,7 +25,7 @@ _SURE_DIRECTION_RAD = 0.05  # a direction with a larger standard deviation does 
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
-    """Return the tolerance of the plane's position at the point of the plane nearest to `place`.
+    """Return the tolerance of the wall plane's position, for the point of the plane nearest to `place`.
 
     The tolerance is 0 if the wall has no standard deviations. `place` is in the mission frame.
     """

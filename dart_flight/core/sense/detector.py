@@ -34,14 +34,14 @@ CONTACT_END_S: Final = 0.012  # time below the release level; three samples, bec
 SURE_SIGMA: Final = 2.5  # one sample suffices if it exceeds the threshold by this many standard deviations
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
 LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
-PULSE_MISFIT: Final = 3.0  # the model does not fit if the normalised residuals have a larger mean square
+PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
 _RISE_SHARE: Final = 0.3  # earlier samples above this fraction of the threshold belong to the contact
 _PEAK_DROP_SHARE: Final = 0.25  # a drop below this fraction of the threshold is noise
 _DROP_SIGMA: Final = 2.5  # a drop below this many standard deviations of the smoothed force is noise
 _SMOOTH_SHARE: Final = 0.02  # limit of the averaged samples' noise, as a fraction of the top
 _MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # samples above this fraction of the maximum form the top of the pulse
-_TOP_REACH: Final = 4  # largest number of the top's samples on either side of the maximum
+_TOP_REACH: Final = 4  # largest number of samples of the top before the maximum, and after it
 _BEFORE: Final = 8  # samples kept before the crossing
 _FAR_SIGMA: Final = 4.6  # two samples in a row suffice if threshold / noise is at least this ratio
 # Added to the thresholds of one and two samples, because noise crosses these thresholds more often.

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
-_END_SAMPLES = 3  # number of samples averaged on either side of a window's end
+_END_SAMPLES = 3  # number of samples averaged before and after a window's end
 _MIN_HZ = 50.0  # minimum rate of gyro and motors; a lower rate misses the controller's action
 _MAX_GAP_S = 0.05
 _MAX_SIDEWAYS_M_S2 = 5.0  # limit of the mean force per kg across the thrust axis; contacts exceed it
@@ -114,9 +114,9 @@ class _Windows(msgspec.Struct):
 
 
 def calibrate_inertia(tracks: Iterable[Track], vehicle: VehicleConfig) -> InertiaCalibration:
-    """Fit the inertia to the rotation in some flights of one vehicle.
+    """Fit the moments of inertia to the rotations in flights of one vehicle.
 
-    `vehicle` supplies the thrust curve, the motors' positions and the lag around which the fit searches.
+    `vehicle` supplies the thrust curve, the motors' positions and a first value of the motors' lag.
     """
     tracks = list(tracks)
     for track in tracks:

@@ -155,7 +155,7 @@ class FailedFlight(msgspec.Struct, frozen=True):
 
 
 class CampaignSummary(msgspec.Struct, frozen=True):
-    """The object of `summary.json` and of `campaign --json`.
+    """The contents of `summary.json`, which `campaign --json` prints.
 
     Attributes:
         flights, asked: number of rows in the table, and total number of flights.
@@ -196,7 +196,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
 
 
 class _SummaryRow(NamedTuple):
-    """The cells of a row that the summary needs."""
+    """The cells that the summary needs from a row."""
 
     item: Item
     point: Point

@@ -29,7 +29,7 @@ from dart_flight.lab.identify.trials import Trial
 
 _NOISES = 3.0  # maximum ratio of a good fit's residual to the recording's noise
 _SHARE = 0.06  # allowed residual as a fraction of the contact's amplitude, for filters and simplifications
-_CONTACT_S = 0.1  # time on either side of the turn within which the contact lies
+_CONTACT_S = 0.1  # the contact begins and ends within this time of the turn
 # Limits of median errors: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = (0.25, 0.1)  # peak force, outgoing speed
 _SAME_SPEED = 0.12  # maximum relative speed difference of repeats
@@ -45,7 +45,7 @@ def assess_fit(
     residuals: Mapping[str, float],
     expected: Mapping[str, float],
 ) -> FitQuality:
-    """Assess coefficients against the recordings to which the coefficients were fitted.
+    """Assess fitted coefficients against the recordings that were used for the fit.
 
     Args:
         whole: hits that were fitted as a whole, without their samples.

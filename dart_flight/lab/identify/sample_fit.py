@@ -164,7 +164,7 @@ class FittedImpact:
         begin, end, contact = self.span(theta)
         out = float(contact.normal(end - begin)[1])
         before, after = _free_s(self.trial, -contact.normal_m_s, out)
-        # The contact includes the interval measured without the law.
+        # The contact is at least as long as the interval that was measured without the contact law.
         begin, end = min(begin, self.hit.begin_s), max(end, self.hit.end_s)
         self.window = cut(self.trial, begin - before, end + after)
         for channel in self.window.values():

@@ -121,7 +121,7 @@ def stiffness_and_damping(
     bounds = ((LOWEST_K, HIGHEST_K), (LOWEST_F, HIGHEST_F))
     for name, (lowest, highest), log, half in zip(found, bounds, logs.tolist(), halves.tolist(), strict=True):
         if not math.log(lowest) + _AT_BOUND <= log <= math.log(highest) - _AT_BOUND:
-            notes.append(f"{name} is unknown: the fit ends at a bound of the search ({math.exp(log):.3g})")
+            notes.append(f"{name} is unknown: the fit ended at the bound {math.exp(log):.3g} of its range")
         elif half >= widest:
             notes.append(f"these trials do not determine {name}")
         else:

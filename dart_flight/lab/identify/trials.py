@@ -126,8 +126,8 @@ class TrialReading:
 def without_derived(trials: Sequence[Trial]) -> tuple[list[Trial], list[str]]:
     """Remove dead channels, and velocities that were computed from the positions; return notes, too.
 
-    Computed velocities would count the positions twice. Dead channels seem to have no noise and would
-    dominate the fit.
+    With such velocities, the fit would use the same position data twice. Dead channels seem to have no noise
+    and would dominate the fit.
     """
     kept, notes = [], []
     for trial in trials:

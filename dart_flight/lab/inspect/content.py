@@ -164,7 +164,7 @@ def _stretches(log: ULogFile, topic: str, field: str, value: int = 1) -> list[tu
 def _off_the_ground(track: Track, begin: float, end: float) -> float:
     """Return the time at which the vehicle has risen by 0.3 m.
 
-    PX4's land detector already reports flight at the first thrust.
+    PX4's land detector is too early: it reports flight at the first thrust.
     """
     inside = (track.position_s >= begin) & (track.position_s <= end)
     height = -track.position[inside, 2]

@@ -184,7 +184,7 @@ def _name_at_m(wall: DrawnWall) -> float:
 
 
 def _thinned(line: Array) -> list[Vec2]:
-    """Return both ends of a line, and points between them that are some centimetres apart."""
+    """Return a line with fewer points: its ends, and points more than `_PLANNED_STEP_M` apart."""
     kept = [line[0]]
     for point in line[1:-1]:
         if math.dist(point[:2], kept[-1][:2]) > _PLANNED_STEP_M:

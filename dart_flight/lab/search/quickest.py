@@ -1,4 +1,4 @@
-"""The fastest flight from the start through the visits to the goal, with any number of hits that save time.
+"""Search for the fastest flight past all visits to the goal; the vehicle hits walls if this saves time.
 
 The planner searches sequences of events (visits and hits). Each sequence has a lower bound on its time: the
 contact times, plus the shortest time along each straight leg of the shortest path through the events. The

@@ -104,7 +104,7 @@ class PwmDriver:
         return DriverReading(pulse_us=self._number(self._channel / "duty_cycle") / 1000.0)
 
     def close(self) -> None:
-        """Leave the pulses as they are; no file is held open."""
+        """Do nothing: the pulses continue, and no file is open."""
 
     def _find(self) -> None:
         """Find chip and channel; write nothing."""

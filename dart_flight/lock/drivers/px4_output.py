@@ -77,7 +77,7 @@ def required_parameters(config: LockConfig) -> tuple[RequiredParameter, ...]:
 
 
 def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[str]:
-    """Return one line for each PX4 parameter that is missing or has a value with which the servo fails."""
+    """Return one line for each PX4 parameter that is missing or has a value that the servo cannot use."""
     problems = []
     for required in required_parameters(config):
         if required.name not in actual:
@@ -92,7 +92,7 @@ def parameter_problems(config: LockConfig, actual: Mapping[str, float]) -> list[
 
 
 def actuator_value(config: LockConfig, pulse_us: float) -> float:
-    """Return the actuator value, -1 to 1, at which PX4 outputs a pulse width in us.
+    """Return the actuator value, -1 to 1, for which PX4 outputs pulses of `pulse_us`.
 
     Raises:
         ValueError: the pulse is outside PX4's output range.

@@ -24,8 +24,8 @@ class DatagramSource:
     """A source that decodes each datagram received at an address.
 
     If the address is a multicast address, the source joins the group on the network interface that the URL
-    names. If the URL names none, the source joins on every interface. The constructor raises InputError if
-    the address cannot be bound, or the URL names a wrong interface.
+    names. If the URL names no interface, the source joins on every interface. The constructor raises
+    InputError if the address cannot be bound, or the URL names a wrong interface.
 
     Args:
         decode: receives datagram, body and sender; returns the pose, or the reason why the datagram contains

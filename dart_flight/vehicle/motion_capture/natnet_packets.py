@@ -183,7 +183,7 @@ _SKIP_DESCRIPTION: Final[dict[int, Callable[[_Reader, Version], None]]] = {
 
 
 def decode_frame(payload: bytes, server: ServerInfo, wanted: int | None) -> Frame:
-    """Decode a frame with the pose of the body with the streaming id `wanted`."""
+    """Decode a frame, including the pose of the body whose streaming id is `wanted`."""
     reader, version = _Reader(payload), server.version
     number = reader.count()
     _skip_list(reader, version, _skip_marker_positions)

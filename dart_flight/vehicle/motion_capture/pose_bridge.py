@@ -211,7 +211,7 @@ class MotionCaptureBridge:
         self._decimation, self._stale, self._stamps = Decimation(config.rate_hz), StaleFrames(), Stamps()
         self._lock = threading.Lock()
         self._stopped = self._withheld = self._attitude_withheld = False
-        self._invalid: str | None = None  # reason why the newest frame is not a pose
+        self._invalid: str | None = None  # reason why the newest frame contains no pose
         self._frame_us = self._good_us = 0  # host time of the newest frame, and of the newest usable pose
         self._newest: RawPose | None = None
         self.sent = 0

@@ -21,7 +21,7 @@ _ARROW_EVERY_M = 0.9
 
 @in_style
 def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
-    """Draw walls, plan and flown paths from above; the paths of several flights overlap.
+    """Draw walls, plan and flown paths from above; the paths of all flights appear in one map.
 
     The map of a single flight also shows the direction, a dot at every second, and the guard's actions. At
     each hit it shows the vehicle, the state of the arms, the peak force and the recovery setpoint.
