@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-Number = Any  # float, or array of floats; all arguments of a call are of one kind
+Number = Any  # float or array of floats; in one call, either all arguments are floats or all are arrays
 
 
 def hypot(x: Number, y: Number) -> Number:

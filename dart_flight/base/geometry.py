@@ -143,7 +143,7 @@ def quaternion_from_rotation_vector(v: Vec3) -> Quaternion:
 
 
 def advance_attitude(q_frd_to_ned: Quaternion, rate_frd_rad_s: Vec3, dt_s: float) -> Quaternion:
-    """Return the attitude after `dt_s` seconds (either sign) at a constant body rate.
+    """Return the attitude after `dt_s` seconds, which may be negative, at a constant body rate.
 
     This is the Hamilton product with `quaternion_from_rotation_vector(rate * dt)`, written out for speed: the
     core calls this function for every sample, and the simulation every millisecond.

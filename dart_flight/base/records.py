@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # with a smaller lead of one guard over the other, both count as touching together
+MIN_LEAD_M: Final = 0.002  # if one guard leads the other by less, both count as touching at the same time
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -657,7 +657,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     plane_offset_m: float  # measured plane minus the mission's plane, along the wall's normal
     plane_offset_sigma_m: float
     # Measured plane on which the vehicle's centre lies at first touch; None if there were too few readings.
-    plane_point_mission: Vec2 | None = None  # point of the measured plane at which the vehicle touched
+    plane_point_mission: Vec2 | None = None  # point of first touch on the measured plane
     plane_normal_mission: Vec2 | None = None  # outward unit normal of the measured plane
     plane_normal_sigma_rad: float | None = None
     centre_mission: Vec2 | None = None  # vehicle's centre at the first touch

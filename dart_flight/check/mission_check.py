@@ -48,7 +48,7 @@ from dart_flight.planning.predicted_flight import (
 
 _FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
-_WEAK = 1.3  # required multiple of the detection threshold; the detector may miss a weaker impact
+_WEAK = 1.3  # minimum ratio of an impact's force to the threshold; the detector may miss a weaker impact
 _SAME_M = 1e-6
 _NOT_MEASURED = ("assumed", "[example]")  # in a material's source, these mean "not measured"
 _LEG_POINTS = 50
@@ -203,7 +203,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the predicted impact to which the previous recovery leads, at constant heading."""
+    """Describe the predicted impact at the end of the previous recovery, at constant heading."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)

@@ -88,7 +88,7 @@ class WriteReport(msgspec.Struct):
     """The result of writing parameters.
 
     Attributes:
-        written: names whose new value was read back; without a `problem`, these are all names except
+        written: names whose new value was read back. If there is no `problem`, every other name is in
             `refused`.
         refused: reason of the refusal, by the parameter's name.
         problem: reason why the link was lost, or None. If the link was lost, `written` has the acknowledged

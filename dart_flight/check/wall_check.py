@@ -23,7 +23,7 @@ from dart_flight.planning.predicted_flight import PredictedContact, PredictedFli
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # gap below the measuring accuracy; such walls count as back to back
+_SAME_PLACE_M = 0.005  # walls with a smaller gap count as back to back; below the measuring accuracy
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:

@@ -84,7 +84,7 @@ def unused_configurations(source: VehicleSource) -> list[str]:
     """Return configurations that the operator may have meant instead of the packaged configuration.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
-    subfolder `configs/`. The result is empty unless the packaged configuration is used.
+    subfolder `configs/`. If another configuration is used, the result is empty.
     """
     if not source.packaged:
         return []

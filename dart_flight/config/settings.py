@@ -97,7 +97,7 @@ def _child(node: Any, part: str | int, setting: str) -> Any:
     if isinstance(node, dict) and (
         str(part) in node or not difflib.get_close_matches(str(part), list(map(str, node)))
     ):
-        # The section is missing or null; a later check by type decides whether it may exist.
+        # The section is missing or null. The conversion to the type decides later whether it may exist.
         node[str(part)] = {}
         return node[str(part)]
     if isinstance(node, list) and isinstance(part, int) and part < len(node):

@@ -112,7 +112,7 @@ def nearest_point(
     """
     ax, ay = cylinder.axis[0] - position[0], cylinder.axis[1] - position[1]
     places = [rotate(q, corner.guard.at) for corner in corners]
-    turn = 1.0 if q[1] * q[1] + q[2] * q[2] < 0.5 else -1.0  # upside down, the outline runs the other way
+    turn = 1.0 if q[1] * q[1] + q[2] * q[2] < 0.5 else -1.0  # reversed outline if upside down
     least, number, fraction, inside = math.inf, 0, 0.0, len(corners) > 2
     for i, (bx, by, _) in enumerate(places):
         cx, cy, _ = places[(i + 1) % len(places)]

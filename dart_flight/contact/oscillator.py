@@ -192,8 +192,8 @@ class ContactTimes(NamedTuple):
     """Event times of a contact, in 1/omega."""
 
     peak: Array  # largest force
-    turn: Array  # lx equals -m a; if a points into the wall, this is when the outward speed is largest
-    end: Array  # force returns to zero; inf if it never does
+    turn: Array  # time at which lx equals -m a; if a points into the wall, the outward speed is largest then
+    end: Array  # time at which the force returns to zero; inf if the force never does
 
 
 def find_contact_times(c: Oscillation) -> ContactTimes:

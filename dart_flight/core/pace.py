@@ -15,7 +15,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
-BATCH_S: Final = 0.02  # the tick's period; a quarter of the IMU silence that triggers the guard
+BATCH_S: Final = 0.02  # the tick's period; a quarter of the time without IMU samples that triggers the guard
 _LEAD_S: Final = 0.2  # batching ends at this time before a possible impact, ten times a batch's delay
 
 

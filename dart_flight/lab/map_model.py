@@ -29,7 +29,7 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
 _OPPOSED, _SAME_PLANE_M = (
     -0.9,
     0.01,
-)  # opposed normals have a smaller cosine; faces in one plane have a smaller offset
+)  # largest cosine between opposed normals; largest offset between faces in one plane
 _BACK_TO_BACK_M = 0.4  # with less space behind a face, the wall's name is in front of it
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 

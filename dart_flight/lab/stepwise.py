@@ -104,7 +104,7 @@ class SteppedSimulation:
             not flown.
         seed: seed of the sensors' noise.
         period_s: simulated time of one step; a multiple of 4 ms.
-        view_m: distance up to which a wall appears in the observations; by default every wall appears.
+        view_m: largest distance at which a wall appears in the observations; by default every wall appears.
 
     Raises:
         InputError: the period is not a positive multiple of 4 ms, or the mission is invalid.

@@ -141,7 +141,7 @@ class LockStateMachine:
         self.config = config
         self._state = LockState(t_us=t_us, phase=LockPhase.UNKNOWN, mode=None)
         self._permitted = False
-        self._target: Mode | None = None  # the commanded or found mode; a fault keeps it to compare readings
+        self._target: Mode | None = None  # commanded or found mode; kept in a fault for comparison
         self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # start of the current travel
         self._sent_us: int | None = None  # start of the target's pulse at the driver's output

@@ -57,7 +57,7 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 FIT_US: Final = 50_000  # simulated duration of a fit (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1 decide the mode; 1 of 1000 is wrong (docs/contact_fit.md)
+SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1 decide a mode; 1 mode of 1000 is wrong (docs/contact_fit.md)
 _FEWEST: Final = 4  # readings in contact that a fit needs
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
@@ -91,7 +91,7 @@ _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick for the torque's peak
 _MAX_TICKS: Final = 36  # if there are more ticks, neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
-_NEAR_TOP: Final = 0.6  # fraction of the torque's peak; the samples above it determine the peak's size
+_NEAR_TOP: Final = 0.6  # samples above this fraction of the torque's peak determine the peak's size
 _SURE_TORQUE: Final = 4.0  # the fit gives the peak's shape only for a larger torque, relative to the noise
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, tangential velocity, lever

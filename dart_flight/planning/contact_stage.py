@@ -268,7 +268,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
     """Compute the matrix that maps (v, a, i) at the onset to all fields of `NormalOut` except `onset_m`."""
     c, m = stage.coefficients, stage.mass_kg
     kp, kv, ki, kd, tau = loop
-    # States x, v, a, i, s; before the setpoint there is no e.
+    # States x, v, a, i, s; the error e does not exist before PX4 uses the setpoint.
     before = np.zeros((5, 5))
     before[0, 1] = 1.0
     before[1, :3] = (-c.k / m, -c.f / m - drag, 1.0)

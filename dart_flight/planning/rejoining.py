@@ -29,7 +29,7 @@ _STEP_S = 0.03  # step between the possible starting times on the planned trajec
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
 _SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # the last part before a wall follows the plan for this time, which covers the attitude's lag
+SETTLED_S = 0.2  # the trajectory follows the plan for this time before a wall; longer than the attitude's lag
 _SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
 
 

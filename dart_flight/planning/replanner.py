@@ -60,11 +60,11 @@ _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
 _GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
 _GENTLE_REJOINING_S = 0.05  # `_GENTLE_S` when rejoining; small, because the plan is within the limits
-_REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, which the plan may already reach
+_REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, because the plan may already reach the limit
 _SPEED_TOLERANCE = 1.01  # a trajectory with a larger slow-down factor counts as slower than planned
 # A contact rotates the vehicle (docs/results/faster_hits.md) if the planned tilt away from the wall is too
 # large for rigid arms, or if a tilt into the wall begins too late for the lagging attitude.
-_THRUST_OFF_SHARE = 0.5  # removed fraction of the final outward thrust, rigid arms; lag removes the rest
+_THRUST_OFF_SHARE = 0.5  # part of the final outward thrust to remove with rigid arms; lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # with a larger final jerk into the wall, another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error

@@ -42,7 +42,7 @@ from dart_flight.planning.flight_model import (
 )
 from dart_flight.planning.task import Task, drag_along
 
-_HORIZON_S = 6.0  # limit of the search for events; the loop has settled by then
+_HORIZON_S = 6.0  # longest time searched for events; the position loop has settled after this time
 MIN_FACTOR = 0.1  # lower limit of a drawn coefficient relative to its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]

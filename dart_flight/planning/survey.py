@@ -3,7 +3,7 @@
 Probes touch every wall twice (docs/walls.md). The first contact is rigid, along the assumed normal. The
 second contact is along the measured normal, in the mode of the mission's impact. The second contact is needed
 because a contact at large incidence does not measure the wall's direction well. The survey begins with the
-nearest wall to which a clear path leads.
+nearest wall that a clear path reaches.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-_SPEED_M_S = 0.5  # probe speed: slow, but well above the detection threshold in either mode
+_SPEED_M_S = 0.5  # probe speed: slow, but the force is well above the detection threshold in both modes
 _RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
 _BACK_M = 0.5
 # Contacts to try, in this order: offset from the wall's middle, as a fraction of the wall's length.

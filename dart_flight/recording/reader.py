@@ -219,7 +219,7 @@ def _check_version(about: dict[str, str], source: str) -> None:
         raise InputError(f"log format {version!r} is not a number", source=source)
     if int(version) > FORMAT_VERSION:
         raise InputError(
-            f"the log of dart-flight {about.get('software', '?')} has format {version}, which is newer than "
-            f"this program's format {FORMAT_VERSION}: update dart-flight",
+            f"dart-flight {about.get('software', '?')} wrote this log in format {version}, but this program "
+            f"reads only formats up to {FORMAT_VERSION}: update dart-flight",
             source=source,
         )

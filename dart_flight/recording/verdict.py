@@ -95,7 +95,7 @@ class TimeKind(StrEnum):
 
     LOCKSTEP = "lockstep"  # simulated time waits for the application
     REALTIME = "realtime"  # simulated time does not wait for the application
-    SIMULATED = "simulated"  # core and vehicle run in one process
+    SIMULATED = "simulated"  # simulated time; core and vehicle run in one process
 
 
 class Verdict(msgspec.Struct):

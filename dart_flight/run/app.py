@@ -62,7 +62,7 @@ from dart_flight.vehicle.motion_capture.source import PoseSource, open_source
 from dart_flight.vehicle.vehicle_session import NoAnswerError, VehicleSession, connect
 
 _SHOW_PERIOD_S = 0.2  # update period of the live line
-_SWITCH_INTERVAL_S = 0.001  # time after which a running thread must let MAVSDK's callbacks run
+_SWITCH_INTERVAL_S = 0.001  # longest time that one thread may run before MAVSDK's callbacks can run
 _KEY_PAUSE_S = 0.5
 _LOOK_PERIOD_S = 0.5  # period of the checks for other vehicles and for the end of the simulation
 _END_GRACE_S = 0.3  # wait after the flight for the last truth and the log

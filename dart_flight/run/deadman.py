@@ -2,8 +2,8 @@
 
 MAVSDK repeats the last setpoint from its own thread, so PX4 would not notice a hang of the app. A hang that
 holds the interpreter lock also stops every thread of the app that could detect the hang. Therefore the core
-thread and the event loop feed a separate process through a pipe. If either stops feeding, the process kills
-the app (SIGKILL). The setpoints then stop and PX4's failsafe acts.
+thread and the event loop feed a separate process through a pipe. If the core thread or the event loop stops
+feeding it, the process kills the app (SIGKILL). The setpoints then stop and PX4's failsafe acts.
 
 `SystemdNotice` is the second protection: systemd's watchdog (`Type=notify`, `WatchdogSec`). The event loop
 feeds this watchdog only while the core thread is also alive.

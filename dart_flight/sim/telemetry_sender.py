@@ -25,7 +25,7 @@ _POSITION_SD_EVERY: Final = 250
 class TelemetrySender:
     """Telemetry of one simulated vehicle, at the rates of the stream table.
 
-    Only a vehicle that has just been switched on (`begins`) sends its status immediately.
+    A vehicle sends its status immediately only if it has just been switched on (`begins`).
     """
 
     def __init__(self, vehicle: SimulatedVehicle, begins: bool = True) -> None:

@@ -1,9 +1,9 @@
-"""Draw the missions that use collisions and the fastest flights without collisions, both flown in simulation.
+"""Draw missions with collisions and the fastest collision-free flights, both flown in simulation.
 
 python -m tools.docs.both_ways [FOLDER]
 
 Each mission gets a picture and an animation with two clocks. One figure compares when both flights of every
-mission pass the same places. The free flights are planned first, which takes minutes.
+mission pass the same places. The collision-free flights are planned first. This planning takes minutes.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class FlownVariant:
 
 
 class FlownBothWays:
-    """A mission flown with its hits, and the free flight of its scenario."""
+    """A mission flown with its hits, and the collision-free flight of the same scenario."""
 
     def __init__(self, name: str) -> None:
         self.name, both = name, both_ways(name)
@@ -129,7 +129,7 @@ class FlownBothWays:
         return figure
 
     def turn_s(self, way: FlownVariant) -> float:
-        """Return the time at which the free flight is farthest out."""
+        """Return the time at which the collision-free flight is farthest out."""
         x = np.where(way.flown, way.flight.course.true.position[:, 0], -np.inf)
         return float(way.time_s[int(np.argmax(x))])
 

@@ -247,7 +247,7 @@ class Imu(Section, frozen=True):
     """Properties of the IMU.
 
     Attributes:
-        full_scale_m_s2: largest reading of the accelerometer on each axis, either sign.
+        full_scale_m_s2: largest magnitude that the accelerometer can read on each axis.
         rate_hz: rate of the samples that PX4 sends.
         tick_s: time over which one sample is averaged.
         antialias_hz: -3 dB frequency of the accelerometer's own low-pass, first order.

@@ -27,7 +27,7 @@ class ContactBody(Section, frozen=True):
     Attributes:
         body: point: the centre of mass, as in the paper's equations; guards: two guard points per side.
         guard_out_m: distance from the centre of mass to the guards' plane.
-        guard_along_m: distance from the middle of a side to either of its guards.
+        guard_along_m: distance from the middle of a side to each of its two guards.
         guard_height_m: height of the guards above the centre of mass.
         guard_height_sd_m: standard deviation of that height between flights; `check` allows for it, and
             `--vary guard_height_m` draws it.

@@ -47,7 +47,7 @@ class EstimatorResets:
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=_STEPS)  # stamp, position m, velocity m/s
         self._heading = HeadingStep()
         self._before: Quaternion | None = None  # `HeadingStep.before` at the newest reset
-        self._rotation: Quaternion | None = None  # `before` at the reset to which the heading error refers
+        self._rotation: Quaternion | None = None  # `before` at the reset that caused the heading error
         self._reckoned: DeadReckoning | None = None  # the motion since that reset
 
     def add_imu(self, item: ImuSample) -> None:

@@ -45,7 +45,7 @@ _DOUBT_US: Final = 100_000  # another vehicle's first sample follows its heartbe
 _CLIP_SHARE: Final = 0.99
 # No flying vehicle keeps such a tilt near the ground. PX4 does not detect that a vehicle lies on its side.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # with a smaller specific force the vehicle falls; half of that in hover
+_FALLING_M_S2: Final = 4.9  # a vehicle with a smaller specific force falls; half of the value in hover
 _LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, because a fall disturbs the estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
@@ -65,7 +65,7 @@ class FlightConditions:
         self.state = FlightState()  # replaced by the core's state at the first step
         self.force: ForceEstimate | None = None  # this step's estimate
         self.request: OperatorRequest | None = None  # this step's request
-        self.thrust_ratio: float | None = None  # in the last few seconds of free flight
+        self.thrust_ratio: float | None = None  # value from the last few seconds of free flight
         self.land_asked = False
         self.kill_asked = False
         self.was_offboard = False
@@ -267,7 +267,7 @@ class FlightConditions:
         return min(self.state.now_us - autopilot_us, self.state.host_us - host_us) * 1e-6
 
     def _landing_timeout_s(self) -> float | None:
-        """Return the time in land mode after which the vehicle must be down, or None if there is no limit."""
+        """Return the longest allowed time in land mode, or None if there is no limit."""
         if self.config.kill_after_s is None:
             return None
         way_down_s = self.mission.bounds.z[1] / self.mission.vehicle.px4.mpc_land_speed

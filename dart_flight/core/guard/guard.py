@@ -49,7 +49,7 @@ Causes = list[tuple[Rule, int, Cause]]  # rule, rank of its action, cause functi
 _NO_CAUSES: Final[Causes] = []
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
-_EVALUATION_US: Final = 20_000  # evaluation period, host time: that of the ticks, also if ticks are missing
+_EVALUATION_US: Final = 20_000  # evaluation period in host time: the tick's period, kept even without ticks
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
@@ -92,7 +92,7 @@ class Guard:
         self._sent_us: int | None = None
         self._down_us: int | None = None  # time at which the vehicle was first landed and disarmed
         self._hold: Vec3 | None = None
-        self._held_impact: ImpactOnset | None = None  # the impact whose wall the guard keeps away from
+        self._held_impact: ImpactOnset | None = None  # newest impact; the guard keeps away from its wall
         self._yaw_ned = 0.0
         self._altitude_m = mission.altitude_m
 

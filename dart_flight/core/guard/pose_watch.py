@@ -28,7 +28,7 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # longest loss of poses; dead reckoning then errs by 0.2 m, too much to fly back
+LOST_LAND_S: Final = 1.5  # longest loss of poses before a landing: dead reckoning has erred by 0.2 m
 _GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where a loss is no hazard
 _FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
 # Limit of a pose's distance from its prediction by PX4's velocity, which errs by up to 2 m/s in a contact.

@@ -24,7 +24,7 @@ class Scope(StrEnum):
     GROUND = "before take-off"
     AIR = "in the air"
     GUIDED = "while the mission or the guard flies the vehicle"  # not while landing
-    FLYING = "while the mission flies the vehicle"  # neither while landing nor after the guard has taken over
+    FLYING = "while the mission flies the vehicle"  # not while landing, nor under the guard's control
 
 
 class RuleCondition(NamedTuple):

@@ -17,7 +17,7 @@ from dart_flight.base.stamps import leaps
 from dart_flight.base.streams import SAMPLED_NAME
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # limit of a step that speed does not explain; estimators correct by less
+POSITION_JUMP_M: Final = 0.3  # larger than an estimator's correction; the vehicle's speed is allowed for
 _TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source

@@ -1,4 +1,4 @@
-"""The last moment for stopping: whether to continue towards a wall while the lock is still moving.
+"""The decision at the last moment for stopping: whether to continue to a wall while the lock still moves.
 
 An approach continues while holding position would still stop the vehicle before the wall. After that moment,
 the approach continues only under two conditions. The lock must settle `SETTLED_BEFORE_S` before the impact,

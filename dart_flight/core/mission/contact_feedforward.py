@@ -28,7 +28,7 @@ LONGEST_S: Final = 0.25
 # Fraction of the tilt that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
 _MOST_LEAN: Final = 0.3  # limit of the tilt, as a tangent
-_AGAINST_PLAN: Final = 1.3  # factor on a tilt into the wall if the plan tilts the vehicle away from the wall
+_AGAINST_PLAN: Final = 1.3  # factor on a tilt into the wall if the planned tilt is away from the wall
 
 
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:

@@ -566,7 +566,7 @@ class Executive:
             progress.least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self.progress.lock.contact_end_us is None:  # still in contact; the detector limits this time
+        if self.progress.lock.contact_end_us is None:  # still in contact; the detector ends a long contact
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)

@@ -12,7 +12,7 @@ from dart_flight.contact.law import Onset
 def impact_velocity(collision: Collision) -> tuple[float, float] | None:
     """Return the planned or else the predicted velocity (normal, tangential) at impact, m/s, collision frame.
 
-    If a recovery leads to the wall, the mission may contain neither velocity. The result is then None.
+    The result is None if the mission contains neither velocity, for example if a recovery leads to the wall.
     """
     if collision.approach_m_s is not None:
         return collision.approach_m_s

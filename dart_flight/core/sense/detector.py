@@ -44,7 +44,7 @@ _TOP_SHARE: Final = 0.7  # samples above this fraction of the maximum form the t
 _TOP_REACH: Final = 4  # largest number of samples of the top before the maximum, and after it
 _BEFORE: Final = 8  # samples kept before the crossing
 _FAR_SIGMA: Final = 4.6  # two samples in a row suffice if threshold / noise is at least this ratio
-# Added to the thresholds of one and two samples, because noise crosses these thresholds more often.
+# Margin on the thresholds of one and two samples, because noise crosses these thresholds more often.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # detection is guaranteed this many standard deviations above the threshold
 _NOISY_BASELINE: Final = 0.4  # relative rate under vibration; a faster baseline would follow the vibration
@@ -402,7 +402,7 @@ class ImpactDetector:
         out = []
         last = len(self._samples) - 1
         for i, s in enumerate(self._samples):
-            # Clipping also lowers the readings next to the clipped one.
+            # Clipping also lowers the readings before and after the clipped reading.
             bound = (
                 s.clipped
                 or (i > 0 and self._samples[i - 1].clipped)

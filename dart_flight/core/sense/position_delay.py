@@ -1,4 +1,4 @@
-"""Estimate of the time by which PX4's position estimate is ahead of the IMU or behind the IMU.
+"""Estimate of the time offset between PX4's position estimate and the IMU.
 
 PX4 assumes that a motion-capture pose is EKF2_EV_DELAY old. If this assumption is wrong by d, PX4's position
 estimate is early or late by d. After an acceleration, the estimated velocity then exceeds the IMU's by about
@@ -24,7 +24,7 @@ Momenta = deque[tuple[int, float, float, float]]
 _STEP_US: Final = 50_000  # step: longer than an IMU tick, shorter than the estimate's oscillations
 _NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
 _HIGH_PASS_S: Final = 0.5
-_MEMORY_S: Final = 4.0  # time constant of the sums, about the duration of one manoeuvre
+_MEMORY_S: Final = 4.0  # time constant of covariance and variance, about the duration of one manoeuvre
 _JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules detect
 # A pose acts on the output through two filters, so the regression yields this fraction of the delay.
 _SHARE: Final = 0.75
@@ -99,7 +99,7 @@ class PositionDelay:
         past.append(now)
 
     def _restart(self) -> None:
-        """Restart the filters and keep the sums."""
+        """Restart the filters, and keep the sums for the covariance of e and z and the variance of z."""
         self._past.clear()
         self._high_e = self._high_z = (0.0, 0.0, 0.0)
         self._z = None

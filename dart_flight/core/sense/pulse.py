@@ -341,7 +341,7 @@ def fit_friction(
     `push_m_s2` is the tangential acceleration by thrust and drag. `kappa` is the expected mu/m, with a wide
     tolerance. `noise_n` is the standard deviation of one reading.
     """
-    # Clipped readings count too, because the clipped axis is usually not the one along the wall.
+    # Clipped readings are used too, because the axis along the wall is usually not clipped.
     inside = [r for r in readings if r.b > pulse.start_s]
     if len(inside) < 3:
         return None

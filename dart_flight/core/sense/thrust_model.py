@@ -4,7 +4,7 @@
 `estimation.esc_thrust_n_per_rpm2`; lag and voltage are not needed. With motor commands, the thrust is
 computed by the curve of `thrust:`, with a first-order lag and the battery voltage. `auto` uses the motor
 speeds only if they arrive often enough to resolve the controller's reaction to a contact. The thrust scale
-learnt in hover corrects the thrust of either source (`core/sense/bias.py`). docs/force.md has the equations.
+learnt in hover corrects the thrust from both sources (`core/sense/bias.py`). docs/force.md has the equations.
 """
 
 from __future__ import annotations

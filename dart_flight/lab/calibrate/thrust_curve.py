@@ -67,7 +67,7 @@ class Points(msgspec.Struct):
     Attributes:
         volts: NaN if unknown.
         start_s: start of each segment.
-        motors: number of motors in the sums.
+        motors: number of motors that are added up in `square` and `linear`.
         rejected: test (`TESTS`) -> number of windows that failed this test and passed the earlier tests.
     """
 
@@ -114,7 +114,7 @@ def quiet_points(
 
     Args:
         mass_kg: mass of the vehicle in this flight; with 1, the result is specific thrust.
-        lag_s: lag of the motors, by which commands are delayed.
+        lag_s: lag of the motors; the commands are delayed by this time.
         most_speed_m_s: upper limit of a window's mean speed.
     """
     rows: list[tuple[float, float, float, float, float]] = []

@@ -33,7 +33,7 @@ from dart_flight.lab.statistics import (
 )
 from dart_flight.recording.plan_versus_flight import Deviation
 
-_MAX_FAILED = 1000  # maximum number of listed flights; the table contains all of them
+_MAX_FAILED = 1000  # maximum number of listed flights; the table contains all flights
 _CLEAR_Z = 4.0  # minimum `Separation.z` that is significant if fifty quantities are compared
 _MIN_FAILED = 5
 _MAX_QUANTITIES = 4

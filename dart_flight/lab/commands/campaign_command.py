@@ -16,7 +16,7 @@ from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, t
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 
-_MAX_SHOWN = 5  # maximum number of lines shown per kind; the page and the summary list all of them
+_MAX_SHOWN = 5  # maximum number of lines shown of each kind; page and summary contain all lines
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

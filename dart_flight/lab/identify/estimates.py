@@ -26,7 +26,7 @@ class SetAside(NamedTuple):
     """Numbers of samples in the window of a trial's fit.
 
     Attributes:
-        free: excluded samples in free flight, which deviate by more than five standard deviations.
+        free: number of excluded samples in free flight; they deviate by more than five standard deviations.
         contact: excluded samples in contact, at most a tenth of `in_contact`. A sample in contact is excluded
             only if the samples before and after it fit well.
         in_contact: all samples in contact, over all channels.

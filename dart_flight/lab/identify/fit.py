@@ -151,7 +151,7 @@ def _widen_intervals(
     """
     shares = {name: max(hit.trial.allowance.get(name, 0.0) for hit in hits) for name in found}
     notes = []
-    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of the edge's speed to the centre's
+    rate_rad_s = share = 0.0  # largest turn rate; largest ratio of the edge's speed to the centre's speed
     for hit in hits:
         trial = hit.trial
         if trial.flown is not None and trial.turn_rad_s is not None and hit.tangential_in_m_s:

@@ -8,8 +8,8 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.lab.identify.estimates import Estimate, Identification
 
-# Values of undetermined coefficients: 0 disables their effect, and the entry marks them as assumed. Stiffness
-# has no such value.
+# Values of undetermined coefficients: 0, which disables their effect. The entry marks them as assumed.
+# Stiffness has no such value.
 _ASSUMED = {"f": 0.0, "mu": 0.0, "nu": 0.0}
 
 

@@ -24,7 +24,7 @@ from dart_flight.lab.identify.recorded_impact import (
 )
 from dart_flight.lab.identify.trials import Series, Trial
 
-_WINDOW_S = 0.2  # duration of free flight used on either side of the contact
+_WINDOW_S = 0.2  # duration of free flight that is used before the contact, and after it
 _GUARD_S = 0.03  # interval around the turn that is excluded until the contact's extent is known
 _BEND_SD_M_S2 = 3.0  # standard deviation of a controller's acceleration before and after a wall hit
 _DEVIATES = 4.0  # number of standard deviations beyond which a position is not in free flight
@@ -185,7 +185,7 @@ def _extent(
 ) -> tuple[float, float]:
     """Return the interval around the turn in which the positions deviate from free flight.
 
-    The interval reaches at most 0.15 s to either side of the turn.
+    The interval reaches at most 0.15 s before the turn and 0.15 s after it.
     """
     time, value = series
     at = int(np.searchsorted(time, turn_s))

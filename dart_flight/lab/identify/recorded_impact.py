@@ -83,7 +83,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     found: list[TrialImpact] = []
-    reach = 0.12  # time on either side of a turn; more than half of the longest contact
+    reach = 0.12  # time before and after a turn; longer than half of the longest contact
     for i in candidates:
         at = float(time[i])
         before = (time >= at - reach) & (time < at)

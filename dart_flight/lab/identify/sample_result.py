@@ -18,8 +18,8 @@ from dart_flight.lab.identify.solver import stiffness_and_damping
 _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
 _WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
-_BAD_FIT = 4.0  # ratio of residual in contact to noise in free flight above which the law does not fit
-_MIN_JUDGED = 4  # a misfit needs this number of samples in contact, and in free flight
+_BAD_FIT = 4.0  # the law does not fit if residual in contact / noise in free flight exceeds this ratio
+_MIN_JUDGED = 4  # minimum number of samples, both in contact and in free flight, for reporting a misfit
 
 
 @dataclass
@@ -128,7 +128,7 @@ def _conclude(fit: SampleFit) -> SampleResult:
 
 def _friction(fit: SampleFit, halves: Array, mode: str) -> Estimate | None:
     theta, moving = fit.theta, False
-    change = 0.0  # largest impulse over mass, m/s; times mu, it is the exponent of the slowing
+    change = 0.0  # largest impulse / mass, m/s; this value times mu is the exponent of the deceleration
     for fitted in fit.of_mode(mode):
         if "vy" in fitted.at:
             j = fitted.at["vy"]

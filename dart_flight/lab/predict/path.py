@@ -27,7 +27,7 @@ from dart_flight.contact.oscillator import begin_contact, find_contact_times
 # relative error is below 1e-9 (force up to 500 N, mu |v| up to 20), or 1e-4 in a contact that never ends.
 _TERMS = 80
 _CROWDING = 3.0
-_SETTLED = 40.0  # number of time constants of the slower decay after which an endless contact is truncated
+_SETTLED = 40.0  # an endless contact is truncated after this number of time constants of the slower decay
 
 
 class _Nodes(NamedTuple):

@@ -108,7 +108,7 @@ class Impact:
         time = np.arange(-_SHOWN_BEFORE_S, _SHOWN_AFTER_S, _STEP_S)
         path = self.prediction = trajectory(contact, time, tangential, vehicle.vertical_force_sign)
         self.predicted.peak_force_n = float(path.normal_force_n.max())
-        if math.isfinite(contact.end_s):  # otherwise the contact does not end
+        if math.isfinite(contact.end_s):  # an endless contact has no exit velocity
             end = np.array([contact.end_s])
             slowed = math.exp(-coefficients.mu * float(contact.impulse(contact.end_s)) / contact.mass_kg)
             self.predicted.normal_out_m_s = float(contact.normal(end)[1][0])

@@ -31,7 +31,7 @@ from dart_flight.base.records import (
 SCENE_US = 36_000  # period of scene and transforms: at most 28 Hz
 SCALARS_US = 20_000  # period of plots: at most 50 Hz
 
-# For these records, one per period is enough.
+# One record of each of these kinds is enough per period.
 _EVERY: dict[type[Record], int] = {OdometrySample: SCENE_US, AttitudeSample: SCENE_US, Setpoint: SCENE_US}
 # Of these records, the strongest in a period is kept, so that a peak of a few milliseconds stays visible.
 _STRONGEST = (ForceEstimate, TruthSample)
@@ -59,8 +59,8 @@ WANTED: frozenset[type[Record]] = frozenset({*_ALL, *_EVERY, *_STRONGEST})
 class Downsampler:
     """A filter that receives the records of a flight in order and passes on those that a display needs.
 
-    Periods are measured in the autopilot's time. Of the force samples in a period, the filter passes on the
-    strongest when the period ends. Newer records of other kinds may therefore precede this sample.
+    Periods are measured in the autopilot's time. At the end of each period, the filter passes on the period's
+    strongest force sample. Newer records of other kinds may therefore precede this sample.
     """
 
     def __init__(self) -> None:

@@ -146,7 +146,7 @@ def _bounds(shown: RoomMap, t_us: int) -> SceneEntity:
 
 
 def height_over(shown: RoomMap) -> float:
-    """Return the height up to which walls are drawn: slightly above the bounds."""
+    """Return the height of the drawn walls, slightly above the bounds."""
     return shown.bounds.z[1] + _OVER_BOUNDS_M
 
 

@@ -267,7 +267,7 @@ class SceneTranslator:
     def _along_wall(self, force: Vec3, position: Vec3 | None) -> tuple[float, float, float, float]:
         """Return a force as (magnitude, normal, tangential, upward component) at the nearest wall.
 
-        Without a wall, normal and tangential components are those along x and y.
+        If there is no wall, the normal and tangential components are the components along x and y.
         """
         walls = self._mission.walls if self._show_room and position is not None else ()
         if not walls or position is None:

@@ -14,7 +14,7 @@ from dart_flight.lab.search.plan import FreeTime, MotionLimits, Plan, SearchResu
 from dart_flight.lab.search.scenario import Objective, Scenario
 from dart_flight.lab.search.search import ADVICE
 
-_FORCE = "peak (normal,\nalong) N"  # the force to which limits.peak_force_n applies, and its parts
+_FORCE = "peak (normal,\nalong) N"  # the force that limits.peak_force_n limits, and its components
 _SHOWN_S = 0.005  # minimum gap that is shown
 _UNITS = {
     Objective.NEAREST: "m",
