@@ -245,7 +245,7 @@ def _check_force(mission: Mission, collision: Collision) -> list[CheckFinding]:
         return [CheckFinding(item, False, weak)]
     clipping = clipping_warning(mission, collision)
     if clipping is not None:
-        # Beyond the IMU's full scale, the recovery is too weak and PX4's estimate is disturbed.
+        # If an impact exceeds the IMU's full scale, the recovery is too weak and PX4's estimate is disturbed.
         go = force <= full_scale_n(mission)
         return [CheckFinding(item, go, clipping, remark=go)]
     return [CheckFinding(item, True, f"{message}, limit {limit:g} N")]

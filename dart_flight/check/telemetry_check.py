@@ -16,7 +16,7 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # only PX4 versions before 1.14 have this parameter
-_REST_TOLERANCE = 0.3  # tolerance as a fraction of g; a wrong unit gives a factor of ten or more
+_REST_TOLERANCE = 0.3  # tolerance, as a fraction of g; wrong units cause an error by a factor of ten or more
 _ARRIVES_HZ = 0.2  # minimum rate of a stream
 
 

@@ -30,7 +30,7 @@ from dart_flight.planning.positioning import effective_source
 POSE_DELAY = "EKF2_EV_DELAY"
 # The prediction of a recovery depends on these parameters.
 GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
-# The IMU's position, forward, right and down from the centre of mass, like imu.position_m.
+# The IMU's position relative to the centre of mass, forward, right and down, like imu.position_m.
 IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
 _FAILURE_ANGLES = ("FD_FAIL_P", "FD_FAIL_R")
 _HITL, _OFFBOARD_LOSS = "SYS_HITL", "COM_OF_LOSS_T"

@@ -94,7 +94,7 @@ def begin_contact(
     alpha = acceleration / (safe * omega)
     phi0 = alpha + (2.0 * zeta * u if onset is Onset.TOUCH else 0.0)
     slope0 = u - 2.0 * zeta * phi0
-    # Under a strong outward acceleration an lcp approach turns back before the first force.
+    # A strong outward acceleration reverses an approach with rule `lcp` before the first force.
     starts = (acceleration < 0.0) | (phi0 > alpha) | (slope0 > 0.0)
     hits = (normal <= 0.0) & (speed > 0.0) & starts
     # An input without a hit gets the events of an ordinary hit, so that all events are defined.

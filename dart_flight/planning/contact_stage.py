@@ -20,9 +20,9 @@ controller's thrust adds a velocity d:
 
 In these equations, lx is the normal force of the contact law alone, at the speed of the onset. The force lx
 also determines the peak friction force. The recovery setpoint (`core/mission/recovery.py`) is the position at
-the force peak plus the peak normal and friction forces, each times its gain. All equations along the normal
-are linear. One constant matrix per material and mode therefore describes the motion along the normal. The
-matrix exponential gives this constant matrix exactly.
+the force peak, plus each peak force (normal and friction) times its gain. All equations along the normal are
+linear. One constant matrix per material and mode therefore describes the motion along the normal. The matrix
+exponential gives this constant matrix exactly.
 
 The motion along the wall needs only integrals of exp(-c (1 + xi')). Here c is mu times the normal speed at
 the onset, and xi' is the normal velocity divided by this speed. Gauss quadrature is accurate to about 1e-10.

@@ -7,11 +7,11 @@ drag. `core/mission/position_loop.py` defines kp, kv, ki, kd and tau:
     p' = v,   v' = a - b v,   i' = ki (-kp p - v)
     a' = (kv (-kp p - v) + i - kd v' - a) / tau
 
-This is linear with constant coefficients, so the state at any time is exp(A t) times the initial state. One
-matrix product gives the positions of all candidates on a grid of times. An event, such as an impact, is first
-found between two grid points. Near a grid point, the solution is the Taylor series of the matrix exponential.
-Within half a grid step of the grid point, this series is exact to rounding. Newton's method finds the time of
-the event in this series. The model does not step through time.
+These equations are linear with constant coefficients, so the state at any time is exp(A t) times the initial
+state. One matrix product gives the positions of all candidates on a grid of times. An event, such as an
+impact, is first found between two grid points. Near a grid point, the solution is the Taylor series of the
+matrix exponential. Within half a grid step of the grid point, this series is exact to rounding. Newton's
+method finds the time of the event in this series. The model does not step through time.
 """
 
 from __future__ import annotations

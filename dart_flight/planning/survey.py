@@ -28,7 +28,7 @@ _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # standard deviations for walls without con
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls, and the reason for each wall that it cannot reach, by the wall's name."""
+    """A mission that touches walls; for each wall out of its reach, the reason, by the wall's name."""
 
     mission: Mission
     unreachable: dict[str, str]

@@ -202,8 +202,8 @@ def _attitude_error(q: Quaternion, wanted: Quaternion) -> Quaternion:
     """Return the rotation from the current attitude `q` to the desired attitude, in body axes.
 
     The shortest rotation corrects the thrust direction first. The remaining rotation about that direction is
-    commanded only in part (MC_YAW_WEIGHT). A single rotation would mix the two: at a heading error of 180
-    degrees, it would tilt the vehicle sideways instead of levelling it.
+    commanded only in part (MC_YAW_WEIGHT). A single rotation would mix both corrections: at a heading error
+    of 180 degrees, it would tilt the vehicle sideways instead of levelling the vehicle.
     """
     up, up_wanted = body_up(q), body_up(wanted)
     cosine = up[0] * up_wanted[0] + up[1] * up_wanted[1] + up[2] * up_wanted[2]

@@ -171,7 +171,7 @@ class GpsQuality(NamedTuple):
     Attributes:
         fix_type: MAVLink's GPS_FIX_TYPE, such as 3 for 3D or 6 for RTK fixed.
         wander_m, wander_s: standard deviation and correlation time of the position's Gauss-Markov error. The
-            standard deviation is per horizontal axis; the vertical standard deviation is 1.5 times larger.
+            standard deviation is per horizontal axis; the vertical value is 1.5 times as large.
         noise_m, velocity_noise_m_s: standard deviations of the white noise of position and velocity.
         eph_m, epv_m: horizontal and vertical accuracy that the receiver reports.
         velocity_wander_m_s, velocity_wander_s: standard deviation and correlation time of the Gauss-Markov

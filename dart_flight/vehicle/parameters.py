@@ -1,7 +1,7 @@
 """The parameters of a vehicle: values by name, and the list of the names that the vehicle has.
 
-A missing answer does not prove that the vehicle lacks a parameter. A parameter is absent in two cases: the
-vehicle reports this, or the vehicle's complete list lacks the parameter and its name gets no answer.
+A missing answer does not prove that the vehicle lacks a parameter. A parameter is absent if the vehicle
+reports its absence, or if the vehicle's complete list lacks it and a request by name gets no answer.
 """
 
 from __future__ import annotations

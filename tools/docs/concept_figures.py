@@ -246,7 +246,7 @@ def draw_contact(folder: Path) -> None:
     for axis, label in zip(axes, labels, strict=True):
         axis.axhline(0.0, color=LIGHT, linewidth=0.8)
         axis.axvline(0.0, color=LIGHT, linewidth=0.8)
-        axis.set(xlabel="time since the plane, ms", ylabel=label)
+        axis.set(xlabel="time since reaching the plane, ms", ylabel=label)
     axes[0].set_ylim(-40.0, 45.0)
     axes[0].legend(frameon=False, loc="upper right")
     figure.savefig(folder / "concept_contact.png", dpi=150)

@@ -51,7 +51,7 @@ _LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, becaus
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
 _SURELY_DOWN: Final = 3.0  # longest landing, as a multiple of the descent from the flight space's top
-_PAUSE_US: Final = 40_000  # this program has paused if two ticks (period 20 ms) are farther apart, host time
+_PAUSE_US: Final = 40_000  # host time; a longer gap between two ticks (20 ms) is a pause of this program
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 

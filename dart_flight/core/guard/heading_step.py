@@ -27,7 +27,7 @@ from dart_flight.base.records import AttitudeSample, ImuSample
 # [ours] With motion capture, PX4's heading stays within 2 degrees during and after impacts.
 HEADING_STEP_DEG: Final = 5.0
 _BEFORE_US: Final = 100_000
-_GAP_US: Final = 20_000  # after a longer gap between rates, the integral is invalid
+_GAP_US: Final = 20_000  # a longer gap between two rates makes the integral invalid
 
 
 class HeadingStep:

@@ -53,7 +53,7 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # a single clock that jumps back repeatedly or stands still
+            self._turns.clear()  # there is one clock, which jumps back repeatedly or stands still
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True

@@ -28,7 +28,7 @@ _RAMP_JERK = 6.0  # ratio of this ramp's peak jerk to speed / duration^2
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # rounding tolerance of an impact on its wall's plane
 _TRAJECTORY_STEP_S = 0.02  # sampling step; a trajectory crosses no wall between samples
-_ON_RAY_M = 1e-6  # within this distance, a start is on the ray of its approach
+_ON_RAY_M = 1e-6  # a start within this distance counts as on the ray of its approach
 
 
 class NoApproachError(ValueError):

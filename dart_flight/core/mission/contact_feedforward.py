@@ -35,8 +35,7 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
     """Return the acceleration to add, away from the wall, so that the impact rotates the vehicle less.
 
     A tilt into the wall by `height_m / out_m` radians brings the propeller guards level with the centre of
-    mass. The acceleration of such a tilt points into the wall, so the result is negative for a positive
-    height.
+    mass. This tilt accelerates the vehicle into the wall, so the result is negative for a positive height.
 
     Args:
         height_m: height above the centre of mass at which the wall's force acts; None if unknown.

@@ -59,7 +59,7 @@ from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
 _TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory after the contact; enough for two answers
-_NEAR_S: Final = 0.3  # the impact is near if the time to the planned impact is shorter
+_NEAR_S: Final = 0.3  # the impact is near if less than this time remains until the planned impact
 _NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000

@@ -20,7 +20,7 @@ from dart_flight.core.sense.state import FlightState
 
 _COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
 _COASTS_US: Final = 500_000  # longest coasting after a contact; allows for the answer to a second request
-_SQUARE_RAD: Final = 0.09  # with this heading error, an impact at 3 m/s hardly rotates the vehicle
+_SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.

@@ -80,7 +80,7 @@ class HoverBias:
             self.bias_y = _bounded(self.bias_y + share * (f[1] - self.bias_y), most)
 
     def _learn_noise(self, f: Vec3, dt_s: float) -> None:
-        # Successive differences ignore everything slower than two samples.
+        # Differences of successive samples ignore everything that changes more slowly.
         last, self._last = self._last, f
         if last is None:
             return

@@ -101,7 +101,7 @@ def find_impact(trial: Trial) -> TrialImpact:
             "no impact found: the motion never reverses quickly from approach to departure", source=trial.name
         )
     strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
-    # Later strong turns are bounces, and noise splits one turn into several.
+    # Later strong turns are bounces. Noise may split one turn into several turns.
     begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
     same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
     impact = min(same, key=lambda t: t.deepest_m)

@@ -26,7 +26,7 @@ from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
-_BACKLOG = 256  # maximum number of messages queued for a slow viewer; beyond it, the oldest are dropped
+_BACKLOG = 256  # maximum number of messages queued for a slow viewer; then the oldest are dropped
 _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 

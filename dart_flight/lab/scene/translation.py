@@ -69,7 +69,7 @@ LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 _MIN_ARROW_N = 3.0  # minimum force that is drawn, above the estimate's noise
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MAX_PATH = 500  # maximum number of points; above it, every other point is dropped and the step doubles
+_MAX_PATH = 500  # maximum number of points; then every second point is dropped and the step doubles
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,

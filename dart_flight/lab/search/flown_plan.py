@@ -29,7 +29,7 @@ from dart_flight.sim.draws import parse_vary
 
 DRAWN, FIRST_SEED = 20, 700_001  # far from the seeds of campaigns and tests
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
-LEAST_SAVING = 0.01  # minimum predicted saving for simulated flights, as a fraction of the free time
+LEAST_SAVING = 0.01  # minimum predicted saving to simulate a plan, relative to the collision-free time
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.

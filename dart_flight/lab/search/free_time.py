@@ -2,8 +2,8 @@
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
-No flight without a collision is faster than a straight flight as long as the shortest path around the walls'
-edges. `gap_s` is the plan's time minus this lower bound.
+A straight flight over the length of the shortest path around the walls gives a lower bound on this time.
+`gap_s` is the plan's time minus this lower bound.
 """
 
 from __future__ import annotations

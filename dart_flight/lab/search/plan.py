@@ -64,8 +64,8 @@ class Plan(msgspec.Struct, frozen=True):
             (draws), only for `robust`. If the plan fails in a draw, its miss is the distance from start to
             goal, or 1 m if this distance is smaller.
         failed_draws: fraction of the draws in which the plan fails because it violates a constraint.
-        time_to_rest_s: time from `start` until the vehicle rests at the goal. In the grid search, the last
-            part, from the closest approach to rest, uses the motion limits of the free flight.
+        time_to_rest_s: time from `start` until the vehicle rests at the goal. In the grid search, the flight
+            from the closest approach to rest uses the motion limits of the collision-free flight.
         saving_s: time of the fastest flight without a collision minus `time_to_rest_s`; negative if the plan
             is slower. None if the time of that flight is unknown.
         visits_s: time at which the vehicle passes each visit; at a wall that is hit, this is the onset.

@@ -231,7 +231,7 @@ class ScenarioSearch:
         return tuple(plans[rank] for rank in sorted(plans))
 
     def _compared(self, plan: Plan, arrivals: Arrivals, k: int, free: FreeTime | None) -> Plan:
-        """Return the plan with its time to rest at the goal and its saving against the free flight."""
+        """Return the plan with its time to rest at the goal and its saving over the collision-free flight."""
         if free is None or free.time_s is None:
             return plan
         velocity, goal = (float(arrivals.vx[k]), float(arrivals.vy[k])), self.scenario.goal.position_m

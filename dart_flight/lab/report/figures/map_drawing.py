@@ -36,7 +36,7 @@ from dart_flight.lab.map_model import (
 )
 from dart_flight.lab.report.figures.labels import name_walls, place_labels
 
-_WIDE_IN = 6.0  # figure width from which a legend has three columns
+_WIDE_IN = 6.0  # minimum figure width for a legend with three columns
 _NORTH_PT = 16.0  # length of the north arrow
 _OUTSIDE_M = 0.6  # maximum distance outside of the bounds at which a wall may still be hit
 _NAME_M = 0.15  # space for the name behind a wall
