@@ -196,10 +196,11 @@ def check_realtime(computer: Computer) -> Iterator[CheckFinding]:
 
 def check_disk(computer: Computer) -> Iterator[CheckFinding]:
     """Check the working folder, which receives the logs, and the state folder."""
-    for item, name, find in (
-        ("disk", "working folder", lambda: Path.cwd() / "flights"),
-        ("state", "state folder", lambda: ensure_folder(state_dir())),
-    ):
+    folders: dict[str, tuple[str, Callable[[], Path]]] = {
+        "disk": ("working folder", lambda: Path.cwd() / "flights"),
+        "state": ("state folder", lambda: ensure_folder(state_dir())),
+    }
+    for item, (name, find) in folders.items():
         try:
             folder = find()
             there = next(one for one in (folder, *folder.parents) if one.exists())

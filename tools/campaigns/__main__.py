@@ -23,7 +23,7 @@ from dart_flight.config.document import InputError
 from dart_flight.lab.campaign import campaign_folder as campaigns
 from dart_flight.lab.campaign.campaign_spec import CampaignSpec, cases_of, load_specification
 from dart_flight.run.workers import Interrupt, usable_cores
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tools.campaigns.results import ROOT
 
 HERE = Path(__file__).parent

@@ -128,7 +128,7 @@ def _problem_of(install: Install) -> str | None:
     """Return why this PX4 cannot be used, or None."""
     airframes = (install.etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")
     for present, text in (
-        (os.access(install.program, os.X_OK), "bin/px4 is not executable"),
+        (os.access(install.program, os.X_OK, effective_ids=True), "bin/px4 is not executable"),
         (os.path.exists(install.program.parent / CLIENT), f"has bin/px4 but no bin/{CLIENT}"),
         (
             os.path.isfile(install.etc / "init.d-posix" / "rcS"),
