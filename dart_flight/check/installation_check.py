@@ -36,7 +36,7 @@ _PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*", "serial[0-9]")
 _LEAST_SPACE = 1e9  # bytes; a log of ten minutes takes less than a tenth of this
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronized
 _TIMEX_BYTES = 512  # at least the size of the kernel's struct timex
-_PATH = re.compile(r"[~/][^\s:,;]*")
+_PATH = re.compile(r"(?<![\w*.-])[~/][^\s:,;]*")  # absolute, or in a home folder
 _PACKAGED_PX4 = ("/opt/px4", "/opt/px4-gazebo")
 
 
@@ -78,8 +78,8 @@ class InstallationCheck(NamedTuple):
 
 def check_program(computer: Computer) -> Iterator[CheckFinding]:
     """Report the versions of program, Python, system and processor, which are always acceptable."""
-    with_model = computer.root / "proc" / "device-tree" / "model"
-    model = with_model.read_text().strip("\0\n") if with_model.exists() else platform.machine()
+    board = computer.root / "proc" / "device-tree" / "model"  # on a Raspberry Pi
+    model = board.read_text().strip("\0\n") if board.exists() else platform.machine()
     kernel = re.match(r"[\d.]*", platform.release())  # a kernel's own suffix may contain a name
     try:
         system = platform.freedesktop_os_release()["PRETTY_NAME"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dart_flight.cli import main
+from dart_flight.cli import build_parser, main
 from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import packaged
 from dart_flight.sim.px4.installation import ENVIRONMENT, find_install
@@ -150,3 +150,9 @@ def test_the_next_step_is_printed_only_if_there_is_a_px4(there: bool, tmp_path: 
     assert done.stderr == ""
     assert len(done.stdout.splitlines()) == int(there)
     assert (str(folder) in done.stdout) is there
+
+
+def test_a_series_flies_the_px4_that_is_found(tmp_path: Path) -> None:
+    """The value goes on to `dry-run`, where an empty text means the search."""
+    arguments = build_parser(["series"]).parse_args(["series", "fly", str(tmp_path), "--px4"])
+    assert arguments.px4 == ""
