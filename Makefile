@@ -32,6 +32,7 @@ $(FULL): pyproject.toml constraints.txt | $(VENV)/bin/python
 dry-run: $(FLYING)  # installs only what a dry-run needs
 	$(BIN)/dart-flight dry-run $(MISSION)
 	@test -e $(FULL) || echo "next: \`make install\` adds the packages for report, plan, export --foxglove and identify"
+	@$(BIN)/python -m dart_flight.sim.px4.installation
 
 install: $(FULL)
 

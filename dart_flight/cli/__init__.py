@@ -53,6 +53,7 @@ COMMANDS = {
     "room": "measure the walls of a room with the vehicle held by hand",
     "series": "fly a trial series on one wall, from the first hit to dated coefficients",
     "tables": "compare the paper's tables with the model",
+    "doctor": "show what this installation can do: packages, PX4, ports, permissions, disk, clock",
     "init": "copy the packaged configuration, missions and scenarios to start from",
     "completion": "print a completion script for bash, zsh or tcsh",
 }
@@ -177,7 +178,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
         return int(_module(parsed.command).run(parsed))
     except InputError as error:
-        print_status(error.one_line())
+        print_status(error.one_line(), *error.hints)
         return EXIT_INPUT
     except OutputError as error:
         if not error.closed:

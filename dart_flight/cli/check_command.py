@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 
 from dart_flight.check.checks import FlightContext, Stage, run_checks
-from dart_flight.check.findings import CheckReport, decide
+from dart_flight.check.findings import CheckFinding, CheckReport, decide
 from dart_flight.cli.mission_picture import add_plot_option, write_picture
 from dart_flight.cli.options import (
     add_driver_option,
@@ -118,16 +118,21 @@ def _check(arguments: argparse.Namespace) -> int:
 def show(report: CheckReport, console: Console) -> None:
     """Print the findings, no-goes in red and remarks in yellow, then the result."""
     for finding in report.findings:
-        word, style = ("go", "green") if finding.go else ("NO-GO", "red")
-        if finding.remark:
-            word, style = "remark", "yellow"
-        if finding.overruled:
-            word, style = "overruled", "yellow"
-        line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.message}")
-        console.print(line, soft_wrap=True)
+        print_finding(finding, console, "go", "NO-GO")
     if any(PX4_NAME.match(f.item) and (f.remark or not f.go) for f in report.findings):
         console.print(
             "some parameters differ: `dart-flight parameters` lists and writes them", soft_wrap=True
         )
     end = styled(("go", "bold green")) if report.go else styled(("no-go", "bold red"), ": do not fly")
     console.print(end)
+
+
+def print_finding(finding: CheckFinding, console: Console, go: str, no_go: str) -> None:
+    """Print one finding; `go` and `no_go` are the words in front of it."""
+    word, style = (go, "green") if finding.go else (no_go, "red")
+    if finding.remark:
+        word, style = "remark", "yellow"
+    if finding.overruled:
+        word, style = "overruled", "yellow"
+    line = styled((f"{word:9}", style), " ", (finding.item, "bold"), f": {finding.message}")
+    console.print(line, soft_wrap=True)

@@ -123,7 +123,7 @@ def flight_function(arguments: argparse.Namespace, mission: Mission) -> Callable
             fly_embedded, deadman=True, fault=fault, spreads=spreads, speed=speed, realtime=realtime
         )
 
-    from dart_flight.sim.px4.launch import find_install
+    from dart_flight.sim.px4.installation import find_install
 
     find_install(arguments.px4)
     return partial(

@@ -16,8 +16,10 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         "--px4",
         nargs="?",
         const="",
+        type=px4_place,
         metavar="DIR",
-        help="fly a real PX4 SITL from its build or install folder with bin and etc (default: $DART_PX4_DIR)",
+        help="fly a real PX4 SITL: an installation, a build, a source folder or the program "
+        "(default: $DART_PX4_DIR, else the PX4 of this computer)",
     )
     parser.set_defaults(hitl=None)
     if with_hitl:
@@ -45,6 +47,13 @@ def add_px4_options(parser: argparse.ArgumentParser, with_hitl: bool = True) -> 
         metavar="FILE",
         help="file in QGroundControl's format; its PX4 parameters override configs/px4/ (repeatable)",
     )
+
+
+def px4_place(text: str) -> str:
+    """Parse the value of `--px4`, which must not be the mission."""
+    if text.endswith((".yaml", ".yml")):
+        raise argparse.ArgumentTypeError(f"{text} is a mission, not a PX4: write it before --px4")
+    return text
 
 
 def position_source_of(arguments: argparse.Namespace) -> PositionSource:

@@ -55,11 +55,20 @@ class InputError(ValueError):
     """An input error in one line: `file:line: key: problem, allowed values`.
 
     The command line prints the error and exits with status 2, before the vehicle or the lock moves. For input
-    from Python, `<dict>` replaces file and line.
+    from Python, `<dict>` replaces file and line. The command line prints `hints` below the error.
     """
 
-    def __init__(self, message: str, *, source: str = "", line: int | None = None, key: Key = ()) -> None:
+    def __init__(
+        self,
+        message: str,
+        *,
+        source: str = "",
+        line: int | None = None,
+        key: Key = (),
+        hints: tuple[str, ...] = (),
+    ) -> None:
         self.source, self.line, self.key, self.message = source, line, key, " ".join(message.split())
+        self.hints = hints
         super().__init__(self.one_line())
 
     def one_line(self) -> str:

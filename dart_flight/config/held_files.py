@@ -1,7 +1,7 @@
 """Files that mark which process holds a resource, such as a link or a servo.
 
-A servo's file is in a folder that all accounts of the computer share. A link's file is in the state folder.
-If a file cannot be created, read, written or locked, the functions raise `InputError`.
+The file of a servo or a PX4 instance is in a folder that all accounts of the computer share. A link's file is
+in the state folder. If a file cannot be created, read, written or locked, the functions raise `InputError`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def shared_file(name: str) -> Path:
                 return folder / f"dart-flight-{name}"
     places = " nor ".join(str(folder) for folder in _SHARED)
     raise InputError(
-        f"cannot reserve the servo: neither {places} is world-writable; run: "
+        f"cannot reserve servo or PX4: neither {places} is world-writable; run: "
         f"sudo install -d -m 1777 {_SHARED[0]}"
     )
 

@@ -116,7 +116,7 @@ class EventFormatter:
         if isinstance(record, StatusText):
             level = _SEVERITIES.get(record.severity, Level.DEBUG)
             if record.found_here:
-                return Event(level, "link", record.text)
+                return Event(Level.INFO if record.severity == "notice" else level, "link", record.text)
             return Event(level, "px4", f"PX4 {record.severity}: {record.text}")
         if isinstance(record, HealthReport):
             return self._health(record)

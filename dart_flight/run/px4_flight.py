@@ -48,7 +48,7 @@ def fly_px4(
     """Fly through MAVSDK over UDP with a real PX4 SITL on our plant, and return the verdict.
 
     Args:
-        directory: PX4's folder with bin and etc, or None to use the environment variable DART_PX4_DIR.
+        directory: where PX4 is, or None to search for PX4 (`find_install`).
         log_dir: parent folder of the flight's folder, which also receives PX4's ULog as `px4.ulg`.
         realtime: whether simulated time advances without waiting for this program.
         parameter_files: PX4 parameters in addition to `configs/px4/`.
@@ -59,7 +59,8 @@ def fly_px4(
         SimulatorError, VehicleError: PX4 did not start or did not answer.
     """
     require_mavlink()
-    from dart_flight.sim.px4.launch import find_install, flight_parameters, motors_from, values_of  # noqa: PLC0415
+    from dart_flight.sim.px4.installation import find_install  # noqa: PLC0415
+    from dart_flight.sim.px4.launch import flight_parameters, motors_from, values_of  # noqa: PLC0415
 
     install = find_install(directory)
     problem = frame_problem(mission, position_from)
@@ -73,7 +74,7 @@ def fly_px4(
     if viewer is not None:
         record.viewers.append(viewer)
     folder = record.folder
-    px4 = Px4SimulatorSpec(str(install.program.parents[1]), str(folder.resolve()), parameters, position_from)
+    px4 = Px4SimulatorSpec(str(install.folder), str(folder.resolve()), parameters, position_from)
     record.time = TimeKind.REALTIME if realtime else TimeKind.LOCKSTEP
     spec = SimulatorSpec(
         mission,
@@ -96,6 +97,8 @@ def fly_px4(
             url = f"udpin://127.0.0.1:{world.port}"
             if realtime:  # PX4 derives the port from its instance number
                 leases.enter_context(LinkLease(url, "dry-run --px4", record.path))
+            version = f"v{world.version}" if world.version else "of unknown version"
+            progress(StatusText(0, 0, "notice", f"PX4 {version} in {install.folder}", found_here=True))
             clock = LockstepClock(speed) if realtime else None
             world_link = WorldLink(world, clock, not realtime, drawn.lock_faults, world.mocap_url)
             app = FlightApp(mission, url, record, AppOptions(progress), world_link)

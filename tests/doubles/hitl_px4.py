@@ -19,7 +19,8 @@ from types import TracebackType
 from dart_flight.check.hitl_check import hitl_parameters
 from dart_flight.config.mission import Mission
 from dart_flight.config.parameter_file import PositionSource, Value
-from dart_flight.sim.px4.launch import claim_instance, environment, find_install, flight_parameters, values_of
+from dart_flight.sim.px4.installation import find_install
+from dart_flight.sim.px4.launch import claim_instance, environment, flight_parameters, values_of
 from tests.doubles.serial_cable import SerialCable
 
 ENVIRONMENT = "DART_PX4_HITL_DIR"  # a build without lockstep

@@ -274,7 +274,7 @@ def test_a_computer_without_a_shared_folder_is_refused_in_one_line(
     pwm: LockConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(held_files, "_SHARED", (tmp_path, tmp_path / "absent"))
-    with pytest.raises(InputError, match=r"cannot reserve the servo: .* is world-writable") as caught:
+    with pytest.raises(InputError, match=r"cannot reserve servo or PX4: .* is world-writable") as caught:
         use(pwm)
     assert "\n" not in str(caught.value)
 

@@ -1,4 +1,4 @@
-"""The PX4 SITL build of the tests; tests are skipped with a message if there is none."""
+"""The PX4 SITL of the tests; tests are skipped with a message if there is none."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from pathlib import Path
 import pytest
 
 from dart_flight.config.document import InputError
-from dart_flight.sim.px4.launch import ENVIRONMENT, find_install
+from dart_flight.sim.px4.installation import ENVIRONMENT, find_install
 
 
 @pytest.fixture(scope="session")
 def px4_dir() -> Path:
-    """Return the folder of the user's PX4."""
-    named = os.environ.get(ENVIRONMENT)
-    if not named:
-        pytest.skip(f"{ENVIRONMENT} is not set: no PX4 SITL to test with (docs/px4.md)")
+    """Return the folder of the PX4 that `dry-run --px4` finds."""
     try:
-        find_install(named)
+        return find_install(None).folder
     except InputError as error:
-        pytest.fail(f"{ENVIRONMENT}: {error}")
-    return Path(named)
+        if os.environ.get(ENVIRONMENT):
+            pytest.fail(str(error))
+        pytest.skip(f"{error} (docs/px4.md)")

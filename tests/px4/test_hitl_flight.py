@@ -11,7 +11,7 @@ import pytest
 
 from dart_flight.config.document import InputError
 from dart_flight.run.prepare import load_flyable
-from dart_flight.sim.px4.launch import find_install
+from dart_flight.sim.px4.installation import find_install
 from tests.doubles.hitl_bench import fly_bench
 from tests.doubles.hitl_px4 import ENVIRONMENT, HitlPx4
 

@@ -15,15 +15,14 @@ import pytest
 from dart_flight.base.records import TruthContact, TruthSample
 from dart_flight.cli import main
 from dart_flight.cli.px4_options import position_warnings
-from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
 from dart_flight.run.simulator_process import Px4SimulatorProcess, SimulatorError
 from dart_flight.sim.pipe import Px4SimulatorSpec, Ready, SimulatorSpec
 from dart_flight.sim.px4 import launch
+from dart_flight.sim.px4.installation import find_install
 from dart_flight.sim.px4.launch import (
-    ENVIRONMENT,
     ONBOARD_PORT,
     SIMULATOR_PORT,
     Px4Error,
@@ -31,7 +30,6 @@ from dart_flight.sim.px4.launch import (
     check_version,
     claim_instance,
     environment,
-    find_install,
     flight_parameters,
     parse_version,
     select_parameters,
@@ -42,33 +40,6 @@ from tests.doubles.px4_install import install
 from tests.real_time import wait_until
 
 MISSION = packaged("missions", "paper_dual_collision.yaml")
-
-
-def test_an_install_and_a_build_folder_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = install(tmp_path / "px4")
-    assert find_install(folder).program == folder / "bin" / "px4"
-    build = install(tmp_path / "source" / "build" / "px4_sitl_default")
-    assert find_install(tmp_path / "source").etc == build / "etc"
-    monkeypatch.setenv(ENVIRONMENT, str(folder))
-    assert find_install(None).etc == folder / "etc"
-
-
-def test_a_missing_part_of_an_install_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(ENVIRONMENT, raising=False)
-    with pytest.raises(InputError, match=ENVIRONMENT):
-        find_install(None)
-    with pytest.raises(InputError, match="no PX4 SITL in this folder"):
-        find_install(tmp_path)
-    folder = install(tmp_path / "px4")
-    (folder / "etc/init.d-posix/airframes/10016_none_iris").unlink()
-    with pytest.raises(InputError, match="no airframe none_iris"):
-        find_install(folder)
-    (folder / "etc/init.d-posix/rcS").unlink()
-    with pytest.raises(InputError, match="rcS"):
-        find_install(folder)
-    (folder / "bin/px4").chmod(0o644)
-    with pytest.raises(InputError, match="not executable"):
-        find_install(folder)
 
 
 def test_the_callers_environment_does_not_configure_px4(
@@ -155,6 +126,33 @@ def test_an_instance_whose_lock_file_is_held_by_px4_is_skipped(
     assert third.number == free.number
 
 
+@pytest.mark.parametrize("kind", ["_LOCK_FILES", "_SOCKETS"])
+def test_an_instance_with_files_of_another_account_is_skipped(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PX4 could not replace these files; the kernel may refuse this even to root (fs.protected_regular)."""
+    monkeypatch.setattr(launch, kind, str(tmp_path / "px4"))
+    free = claim_instance()
+    free.release()
+    (tmp_path / f"px4-{free.number}").touch()
+    monkeypatch.setattr(f"{launch.__name__}.os.geteuid", lambda: os.getuid() + 1)
+    other = claim_instance()
+    other.release()
+    assert other.number != free.number
+
+
+def test_another_account_does_not_claim_the_same_instance(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other account has a state folder of its own, and PX4 has not yet opened a port."""
+    first = claim_instance()
+    monkeypatch.setenv("DART_FLIGHT_STATE_DIR", str(tmp_path))
+    second = claim_instance()
+    second.release()
+    first.release()
+    assert second.number != first.number
+
+
 @pytest.mark.parametrize(
     ("answer", "version"),
     [
@@ -169,14 +167,14 @@ def test_the_version_is_parsed_from_px4s_output(answer: str, version: tuple[int,
 
 @pytest.mark.parametrize("version", [(1, 14, 4), (1, 16, 2), (1, 18, 0)])
 def test_a_tested_version_is_accepted(version: tuple[int, int, int]) -> None:
-    assert check_version(version) is None
+    assert check_version(version, "/px4") is None
 
 
 def test_an_old_version_is_refused_and_an_untested_one_is_noted() -> None:
-    assert "v1.19.1" in (check_version((1, 19, 1)) or "")
-    assert "does not report" in (check_version(None) or "")
-    with pytest.raises(Px4Error, match=r"v1\.13\.3 is too old"):
-        check_version((1, 13, 3))
+    assert "v1.19.1" in (check_version((1, 19, 1), "/px4") or "")
+    assert "does not report" in (check_version(None, "/px4") or "")
+    with pytest.raises(Px4Error, match=r"v1\.13\.3 in /px4 is too old"):
+        check_version((1, 13, 3), "/px4")
 
 
 # --- the world process with the double -----------------------------------------------------------
@@ -266,7 +264,7 @@ def test_a_stubborn_px4_is_killed(start: Start) -> None:
     ("faults", "message"),
     [
         ({"behaviour": "ends"}, "PX4 ended with status 3 before it connected: ERROR .init. something"),
-        ({"version": "Release 1.13.2"}, "PX4 v1.13.2 is too old"),
+        ({"version": "Release 1.13.2"}, "PX4 v1.13.2 in /.*/px4 is too old"),
         ({"missing": "FD_FAIL_R"}, "no parameter FD_FAIL_R, which must be 60:"),
         # A start-up script may overwrite a parameter that was set before.
         ({"overwritten": "EKF2_HGT_REF"}, r"parameter not accepted: EKF2_HGT_REF: set to 3, PX4 has 77"),

@@ -24,7 +24,8 @@ from dart_flight.run.prepare import with_simulated_mocap
 from dart_flight.sim.embedded_autopilot import TICK_S
 from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.px4.bridge import HilLink, Px4Vehicle
-from dart_flight.sim.px4.launch import ONBOARD_PORT, Px4, claim_instance, find_install, flight_parameters
+from dart_flight.sim.px4.installation import find_install
+from dart_flight.sim.px4.launch import ONBOARD_PORT, Px4, claim_instance, flight_parameters
 from tests.check.bringup.test_bringup import assert_passed
 from tests.check.bringup.test_pose_motion import Hand
 from tests.doubles.bench_vehicle import move_by_hand

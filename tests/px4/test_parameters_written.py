@@ -13,7 +13,7 @@ from dart_flight.check.parameter_setting import load_restored, read_differences,
 from dart_flight.check.wanted_parameters import METADATA, RESTART, restart_names, wanted_parameters
 from dart_flight.config.parameter_file import load_parameters
 from dart_flight.config.vehicle import packaged
-from dart_flight.sim.px4.launch import find_install
+from dart_flight.sim.px4.installation import find_install
 from dart_flight.vehicle.ground_link import GroundLink
 from tests.px4.real_px4 import MOCAP, SINGLE, vehicle_findings, waiting_px4
 

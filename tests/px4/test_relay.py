@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import socket
+import struct
 import time
 from collections.abc import Iterator
 from types import SimpleNamespace
@@ -60,6 +61,18 @@ def attitude(ms: int) -> mavlink.MAVLink_message:
 
 def imu(t_us: int) -> mavlink.MAVLink_message:
     return mavlink.MAVLink_highres_imu_message(t_us, *ORIGIN, *ORIGIN, *ORIGIN, 0.0, 0.0, 0.0, 0.0, 63)
+
+
+def current_mode(mode: int) -> bytes:
+    """Return a CURRENT_MODE frame, which pymavlink's dialect `common` lacks; the relay reads no checksum."""
+    return (
+        b"\xfd\x08"
+        + bytes(4)
+        + b"\x01"
+        + (436).to_bytes(3, "little")
+        + struct.pack("<II", mode, mode)
+        + bytes(2)
+    )
 
 
 def test_data_is_forwarded_unchanged_in_both_directions(ends: Ends) -> None:
@@ -131,6 +144,23 @@ def test_px4s_heartbeat_is_repeated_while_simulated_time_stops(
     ends.relay.answer_requests()
     ends.px4.send(b"next")
     assert ends.app.recv(4096) == b"next", "the heartbeat may repeat only once per second"
+
+
+def test_a_repeated_heartbeat_contains_the_newest_mode(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mode of the last heartbeat would look like a pilot's change, and end the flight as `released`."""
+    hold, offboard = 4 << 16 | 3 << 24, 6 << 16
+    now_s = time.monotonic()
+    monkeypatch.setattr(relay, "time", SimpleNamespace(monotonic=lambda: now_s))
+    ends.px4.send(packed(mavlink.MAVLink_heartbeat_message(2, 12, 1, hold, 3, 3)))
+    ends.px4.send(current_mode(offboard))
+    ends.px4.send(current_mode(0))  # not supplied
+    for _ in range(3):
+        ends.app.recv(4096)
+    wait_until(lambda: ends.relay._heartbeat, 10.0, "the heartbeat")
+    now_s += 1.5
+    ends.relay.answer_requests()
+    (beat,) = mavlink.MAVLink(None).parse_buffer(ends.app.recv(4096))  # checks the checksum
+    assert (beat.get_type(), beat.custom_mode, beat.base_mode) == ("HEARTBEAT", offboard, 1)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xfd", b"\xfd\xff" + bytes(7), bytes(300), b"\xfe" + bytes(30)])

@@ -36,7 +36,7 @@ from dart_flight.lab.campaign.campaign_spec import (
 )
 from dart_flight.lab.campaign.flight_job import ItemFlyer
 from dart_flight.run.workers import Interrupt, usable_cores
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tools.campaigns import results
 from tools.campaigns.results import ROOT
 

@@ -42,7 +42,7 @@ from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
 from tools.campaigns.results import markdown
 

@@ -16,7 +16,7 @@ from dart_flight.config.parameter_file import PositionSource
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tools.campaigns.results import markdown
 
 

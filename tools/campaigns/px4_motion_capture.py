@@ -25,7 +25,7 @@ from dart_flight.run.prepare import load_flyable, with_simulated_mocap
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.faults.fault_table import parse_mission_fault
 from dart_flight.sim.pipe import FULL_SPEED
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tools.campaigns.px4 import spread
 from tools.campaigns.results import markdown
 

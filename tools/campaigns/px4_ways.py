@@ -15,7 +15,7 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.recording.reader import read_log
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tests.arrival import arrival_of
 from tools.campaigns.arrivals import COLLIDING, FREE, USING_COLLISIONS, both_ways
 from tools.campaigns.px4 import hit_of, spread

@@ -30,7 +30,7 @@ from dart_flight.recording.verdict import Verdict
 from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.px4_flight import fly_px4
-from dart_flight.sim.px4.launch import ENVIRONMENT
+from dart_flight.sim.px4.installation import ENVIRONMENT
 from tools.campaigns.results import markdown
 
 _RECENT_S = 8.0  # largest age of a recent anchor

@@ -52,6 +52,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for option, metavar in {**_FOR_SIMULATION, **_PASSED_ON}.items():
         if metavar is None:
             fly.add_argument(option, action="store_true", help="as for fly and dry-run")
+        elif option == "--px4":
+            fly.add_argument(option, nargs="?", const="", metavar=metavar, help="as for dry-run")
         elif option in _REPEATABLE:
             fly.add_argument(
                 option, action="append", default=[], metavar=metavar, help="as for fly and dry-run"
@@ -253,7 +255,7 @@ def _percent(half: float) -> str:
 
 def _fly(arguments: argparse.Namespace) -> int:
     """Write the next batch and fly it by a child command, which checks and asks by itself."""
-    simulated = [option for option in _FOR_SIMULATION if getattr(arguments, option[2:])]
+    simulated = [option for option in _FOR_SIMULATION if getattr(arguments, option[2:]) not in (None, False)]
     if len(simulated) > 1 or (simulated and arguments.connection is not None and simulated != ["--hitl"]):
         raise InputError("give only one of --connection, --hitl, --px4 and --fast")
     path, go = _plan(arguments)

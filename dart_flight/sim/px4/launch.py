@@ -1,10 +1,9 @@
-"""Starting and stopping a real PX4 (SITL), from the user's own build or installation, for one flight.
+"""Starting and stopping a real PX4 (SITL) for one flight.
 
 PX4 runs in a new working folder and in a separate session. PX4 gets the first free instance number, which
 defines the ports. PX4's own client sets the parameters while PX4 waits for its simulator. Every version since
 v1.14 waits at the same point of its start: after the airframe's defaults are applied, and before estimator
-and controllers start. Functions that talk to PX4 raise Px4Error if it ends or does not answer. docs/px4.md
-describes where to get PX4.
+and controllers start. Functions that talk to PX4 raise Px4Error if it ends or does not answer.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,6 +27,7 @@ import msgspec
 
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
+from dart_flight.config.held_files import HeldError, HeldFile, shared_file
 from dart_flight.config.parameter_file import (
     Parameter,
     PositionSource,
@@ -41,21 +42,21 @@ from dart_flight.config.rotors import COUNT, MAV_TYPES, motors_from_parameters, 
 from dart_flight.config.vehicle import LockDriver, Motor, Px4Parameters, VehicleConfig, packaged
 from dart_flight.lock.drivers.px4_output import ACTUATOR_SET_1, PREARM_ALWAYS
 from dart_flight.sim.px4.bridge import servo_channel
+from dart_flight.sim.px4.installation import CLIENT, MODEL, Install
 from dart_flight.vehicle.link import LinkInUseError, LinkLease, feed_name, find_holder, udp_port_is_free
 
-MODEL = "none_iris"  # PX4's airframe for an external simulator: a quadrotor in X
-ENVIRONMENT = "DART_PX4_DIR"
 # Tested versions, with results in docs/px4.md; versions before 1.14 have other parameter names.
 TESTED: tuple[tuple[int, int], ...] = ((1, 14), (1, 15), (1, 16), (1, 17), (1, 18))
 OLDEST = (1, 14)
 SIMULATOR_PORT, ONBOARD_PORT = 4560, 14540
-_LOCK_FILES = "/tmp/px4_lock"  # followed by "-" and the number; locked while that instance runs
+# Each name is followed by "-" and the number. The lock file is locked while that instance runs.
+_LOCK_FILES, _SOCKETS = "/tmp/px4_lock", "/tmp/px4-sock"
 _LOCAL_PORTS = (14580, 18570, 14280, 13030)  # UDP, plus the instance number
 _INSTANCES = range(10)  # the tenth and later instances of PX4 send to one shared port
 _TERM_WAIT_S = 2.0
 _WAITING = "Waiting for simulator to accept connection"
 _BOOTED = "Startup script returned successfully"
-_CLIENT, _VERSION = "px4-param", "px4-ver"
+_VERSION = "px4-ver"
 _ANSWER_S = 5.0
 MOTOR_1 = 101  # output function "Motor 1"
 _CELL_V = 3.9  # cell voltage of a simulated battery in flight
@@ -65,45 +66,6 @@ _SET_PDEATHSIG = 1
 
 class Px4Error(FlightError):
     """PX4 cannot be started, or its version is not supported."""
-
-
-class Install(msgspec.Struct, frozen=True):
-    """PX4's program and its `etc` folder."""
-
-    program: Path
-    etc: Path
-
-
-def find_install(directory: str | Path | None) -> Install:
-    """Find PX4 in an installation (`bin/px4`, `etc`) or a build folder with the same layout.
-
-    If `directory` is None or empty, the environment variable DART_PX4_DIR names the folder. Raise InputError
-    if PX4 is not there.
-    """
-    named = directory or os.environ.get(ENVIRONMENT)
-    if not named:
-        raise InputError(f"no PX4: give --px4 DIR or set {ENVIRONMENT} (see docs/px4.md)")
-    root = Path(os.path.realpath(os.path.expanduser(named)))  # Path's own methods can raise
-    for base in (root, root / "build" / "px4_sitl_default"):
-        program, etc = base / "bin" / "px4", base / "etc"
-        if not program.is_file():
-            continue
-        airframes = (etc / "init.d-posix" / "airframes").glob(f"*_{MODEL}")
-        for present, text in (
-            (os.access(program, os.X_OK), "bin/px4 is not executable"),
-            ((base / "bin" / _CLIENT).exists(), f"has bin/px4 but no bin/{_CLIENT}"),
-            (
-                (etc / "init.d-posix" / "rcS").is_file(),
-                "has bin/px4 but no etc/init.d-posix/rcS: not a SITL build",
-            ),
-            (any(airframes), f"has no airframe {MODEL}: unsupported version of PX4"),
-        ):
-            if not present:
-                raise InputError(text, source=str(base))
-        return Install(program, etc)
-    raise InputError(
-        "no PX4 SITL in this folder: neither bin/px4 nor build/px4_sitl_default/bin/px4", source=str(root)
-    )
 
 
 # --- parameters --------------------------------------------------------------------------------------
@@ -232,8 +194,8 @@ def arguments(install: Install, instance: int) -> list[str]:
 class Instance:
     """A claimed PX4 instance (0 to 9, defines the ports); its simulator port does not listen yet."""
 
-    def __init__(self, number: int, listener: socket.socket, lease: LinkLease) -> None:
-        self.number, self._listener, self._lease = number, listener, lease
+    def __init__(self, number: int, listener: socket.socket, held: contextlib.ExitStack) -> None:
+        self.number, self._listener, self._held = number, listener, held
 
     def listen(self) -> socket.socket:
         self._listener.listen(1)
@@ -241,23 +203,26 @@ class Instance:
 
     def release(self) -> None:
         self._listener.close()
-        self._lease.release()
+        self._held.close()
 
 
 def claim_instance() -> Instance:
     """Claim the first PX4 instance whose ports are free; raise Px4Error if all ten are in use."""
     for number in _INSTANCES:
-        # The sender leases the port that PX4 sends to here; the receiver leases it in the app.
-        lease = LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4")
-        try:
-            lease.acquire()
-        except LinkInUseError:
-            continue
-        taken = find_holder(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
-        listener = None if taken else _free_simulator_port(number)
-        if listener is not None:
-            return Instance(number, listener, lease)
-        lease.release()
+        with contextlib.ExitStack() as held:
+            try:
+                # A lease is of this account. The file excludes other accounts and network namespaces.
+                file = HeldFile(shared_file(f"px4-instance-{number}"))
+                file.acquire(b"")
+                held.callback(file.release)
+                # The sender leases the port that PX4 sends to here; the receiver leases it in the app.
+                held.enter_context(LinkLease(feed_name(ONBOARD_PORT + number), "dry-run --px4"))
+            except (HeldError, LinkInUseError):
+                continue
+            taken = find_holder(f"udpin://127.0.0.1:{ONBOARD_PORT + number}") is not None
+            listener = None if taken else _free_simulator_port(number)
+            if listener is not None:
+                return Instance(number, listener, held.pop_all())
     raise Px4Error(
         f"all {len(_INSTANCES)} PX4 instances are in use: stop one (they use ports from 4560 and 14540 on)"
     )
@@ -276,23 +241,32 @@ def _free_simulator_port(number: int) -> socket.socket | None:
             return None
         raise Px4Error(f"TCP port {SIMULATOR_PORT + number} cannot be opened: {error.strerror}") from None
     ports = [ONBOARD_PORT + number, *(port + number for port in _LOCAL_PORTS)]
-    if all(map(udp_port_is_free, ports)) and not _instance_is_locked(number):
+    if all(map(udp_port_is_free, ports)) and not _instance_is_taken(number):
         return listener
     listener.close()
     return None
 
 
-def _instance_is_locked(instance: int) -> bool:
-    """Return whether a running PX4 holds the instance's lock file."""
+def _instance_is_taken(instance: int) -> bool:
+    """Return whether a running PX4 holds the instance's lock file, or another account has left its files.
+
+    Only their owner can use such files: PX4 opens the lock file with O_CREAT, which the kernel may refuse
+    even to root (fs.protected_regular), and it deletes the socket.
+    """
+    lock_file = f"{_LOCK_FILES}-{instance}"
+    for path in (lock_file, f"{_SOCKETS}-{instance}"):
+        with contextlib.suppress(FileNotFoundError):
+            if os.stat(path).st_uid != os.geteuid():
+                return True
     try:
-        with open(f"{_LOCK_FILES}-{instance}", "r+b") as lock:
+        with open(lock_file, "r+b") as lock:
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return False
-    except (BlockingIOError, PermissionError):  # locked, or owned by another user
+    except (BlockingIOError, PermissionError):
         return True
     except OSError as error:
-        raise Px4Error(f"{_LOCK_FILES}-{instance} cannot be locked: {error.strerror}") from None
+        raise Px4Error(f"{lock_file} cannot be locked: {error.strerror}") from None
     return False
 
 
@@ -364,7 +338,7 @@ class Px4:
             raise Px4Error(f"PX4 does not report its parameters{self._last_error()}")
         chosen = select_parameters(parameters, known)
         for name, value in chosen.items():
-            self._answer(_CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
+            self._answer(CLIENT, "set", name, str(value) if isinstance(value, int) else f"{value:.9g}")
         self.check_parameters(chosen, self.parameters())
         return chosen
 
@@ -415,7 +389,7 @@ class Px4:
 
     def parameters(self) -> dict[str, float]:
         """Return all parameters; after booting, PX4 answers only while the lockstep continues."""
-        return parse_listing(self._answer(_CLIENT, "show", "-a"))
+        return parse_listing(self._answer(CLIENT, "show", "-a"))
 
     def _answer(self, program: str, *arguments: str) -> str:
         """Run one of PX4's client programs, such as `px4-param`, and return its output."""
@@ -444,8 +418,9 @@ class Px4:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
         self._process.wait()
-        with contextlib.suppress(OSError):
-            os.unlink(f"/tmp/px4-sock-{self.instance}")
+        for kind in (_LOCK_FILES, _SOCKETS):  # otherwise no other account could use the instance
+            with contextlib.suppress(OSError):
+                os.unlink(f"{kind}-{self.instance}")
 
     def keep_log(self) -> Path | None:
         """If PX4 has written a ULog, move it to the flight's folder and delete the working folder."""
@@ -458,6 +433,21 @@ class Px4:
         return kept
 
 
+def read_version(install: Install) -> tuple[int, int, int] | None:
+    """Start PX4 for a moment and return its version, or None if PX4 does not report it."""
+    instance = claim_instance()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            px4 = Px4(install, instance.number, Path(folder))
+            try:
+                px4.wait_waiting()
+                return px4.version()
+            finally:
+                px4.stop()
+    finally:
+        instance.release()
+
+
 def parse_version(answer: str) -> tuple[int, int, int] | None:
     """Return the version in the output of `px4-ver all`, such as (1, 16, 0)."""
     found = re.search(r"PX4 version:.*?(\d+)\.(\d+)\.(\d+)", answer)
@@ -466,14 +456,21 @@ def parse_version(answer: str) -> tuple[int, int, int] | None:
     return (int(found[1]), int(found[2]), int(found[3]))
 
 
-def check_version(version: tuple[int, int, int] | None) -> str | None:
-    """Return a remark if docs/px4.md has no flights with this version; raise Px4Error if too old."""
+def check_version(version: tuple[int, int, int] | None, folder: str) -> str | None:
+    """Return a remark if docs/px4.md has no flights with this version; raise Px4Error if too old.
+
+    Args:
+        version: version of PX4, or None if PX4 does not report it.
+        folder: folder of PX4, for the error.
+    """
     flown = "tested versions: " + ", ".join(f"v{a}.{b}" for a, b in TESTED)
     if version is None:
         return f"PX4 does not report its version; {flown}"
     text = ".".join(map(str, version))
     if version[:2] < OLDEST:
-        raise Px4Error(f"PX4 v{text} is too old: at least v{OLDEST[0]}.{OLDEST[1]} is needed; {flown}")
+        raise Px4Error(
+            f"PX4 v{text} in {folder} is too old: at least v{OLDEST[0]}.{OLDEST[1]} is needed; {flown}"
+        )
     if version[:2] not in TESTED:
         return f"PX4 v{text}; {flown}"
     return None

@@ -26,6 +26,7 @@ from dart_flight.sim.pipe import LineWriter, Px4SimulatorSpec, Ready, SimulatorD
 from dart_flight.sim.plant import Plant
 from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.px4.bridge import HilLink, Px4LostError, Px4Vehicle, with_motors
+from dart_flight.sim.px4.installation import find_install
 from dart_flight.sim.px4.launch import (
     ONBOARD_PORT,
     Instance,
@@ -33,7 +34,6 @@ from dart_flight.sim.px4.launch import (
     Px4Error,
     check_version,
     claim_instance,
-    find_install,
     motors_from,
     values_of,
 )
@@ -114,7 +114,7 @@ class Px4Simulator:
         """Check PX4's version and set its parameters while PX4 waits for the simulator."""
         px4.wait_waiting()
         self._version = px4.version()
-        note = check_version(self._version)
+        note = check_version(self._version, self._px4_spec.directory)
         if note is not None:
             self._report(note)
         self._set = px4.set_parameters(self._px4_spec.parameters)

@@ -15,11 +15,13 @@ import time
 from collections.abc import Iterator
 from typing import Final
 
+from pymavlink.dialects.v20 import common as mavlink
+
 from dart_flight.base.errors import FlightError
 from dart_flight.base.streams import BY_NAME, SAMPLED
 from dart_flight.sim.datagrams import receive_datagram, send_datagram
 
-_HEARTBEAT = 0
+_HEARTBEAT, _CURRENT_MODE = 0, 436
 _STREAMS: Final = {stream.number: stream.name for stream in SAMPLED}
 # message id -> format of the stamp at the payload's start, and the stamp's unit in microseconds
 _STAMPS: Final = {BY_NAME["attitude"].number: (struct.Struct("<I"), 1000)}
@@ -66,7 +68,8 @@ class Relay:
         """Repeat PX4's last heartbeat once per second of host time, and raise an error of the relay's thread.
 
         PX4 sends a heartbeat every simulated second, and MAVSDK reports a lost vehicle after 3 s of host
-        time.
+        time. The repeated heartbeat contains the newest mode, because an older one would look like a pilot's
+        change of the mode.
         """
         if self._failure is not None:
             raise self._failure
@@ -115,6 +118,8 @@ class Relay:
                 continue
             if number == _HEARTBEAT:
                 self._heartbeat, self._heartbeat_s = frame, time.monotonic()
+            elif number == _CURRENT_MODE and self._heartbeat and any(payload[:4]):
+                self._heartbeat = _with_mode(self._heartbeat, payload[:4].ljust(4, b"\0"))
             name = _STREAMS.get(number)
             if name is not None:
                 stamp, unit_us = _STAMPS.get(number, _USUAL_STAMP)
@@ -127,6 +132,13 @@ class Relay:
             if number in _SENT:
                 name, fields = _SENT[number]
                 self.arrived[name] = fields.unpack(payload[: fields.size].ljust(fields.size, b"\0"))[1:]
+
+
+def _with_mode(heartbeat: bytes, mode: bytes) -> bytes:
+    """Return the frame of a HEARTBEAT with another custom mode, the payload's first field."""
+    body = heartbeat[1:_HEADER] + mode + heartbeat[_HEADER + 4 : -2]
+    checksum = mavlink.x25crc(body + bytes([mavlink.MAVLink_heartbeat_message.crc_extra]))
+    return heartbeat[:1] + body + checksum.crc.to_bytes(2, "little")
 
 
 def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:
