@@ -70,7 +70,7 @@ _MAX_MISFIT: Final = 2.0  # mean square of the normalised residuals above which 
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
 _VELOCITY_SHARE: Final = 0.02  # fraction of the speed that is added to this deviation
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
+LEVER_SHARE: Final = 0.3  # prior mean of b, the friction's lever divided by d
 _LEVER_SD: Final = 0.3  # prior standard deviation of b: no lever and twice the mean are both plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
@@ -288,7 +288,7 @@ class ContactFit:
         k = np.where(believed, before[0], np.clip(k, 0.5 * before[0], 2.0 * before[0]))
         place = -normal * (c.touched_s + before[1] / k) + self._along * np.sin(np.abs(lead))
         one = np.ones_like(lead)
-        return np.stack([k / before[0], one, place, normal, angle, one, along, _LEVER_SHARE * one])
+        return np.stack([k / before[0], one, place, normal, angle, one, along, LEVER_SHARE * one])
 
     def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Return cost (L, D), Jacobian (8, R, L, D) and residuals (R, L, D) at parameters (8, L, D).
@@ -319,7 +319,7 @@ class ContactFit:
         (vn, vt), one = c.velocity, np.ones_like(co)
         normal, sliding = _turned(vn, vt, co, so)
         means = np.stack(
-            [one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding, _LEVER_SHARE * one]
+            [one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding, LEVER_SHARE * one]
         )
         return np.concatenate([*parts, (theta - means) / self._sd[:, mode]])
 

@@ -91,7 +91,7 @@ def fly_series(point: Point, seed: int) -> SeriesOutcome:
             reasons.append(str(error))
             break
     hits, flights = sum(one.flown for one in status.modes.values()), len(verdicts)
-    predicted = _predict(settings, mission, drawn, status, verdicts, seed)
+    predicted = _predict(settings, mission, drawn, status, evidence, verdicts, seed)
     truths = [c.truth.peak_force_n or 0.0 for v in verdicts for c in v.collisions if c.truth is not None]
     reasons += [v.reason for v in verdicts if v.reason is not None]
     return SeriesOutcome(
@@ -145,6 +145,7 @@ def _predict(
     mission: Mission,
     drawn: dict[Mode, Coefficients],
     status: SeriesStatus,
+    evidence: Evidence,
     verdicts: list[Verdict],
     seed: int,
 ) -> tuple[float | None, float | None, float | None]:
@@ -161,9 +162,8 @@ def _predict(
     errors = []
     for mode, one in status.modes.items():
         fitted = Coefficients(**{name: c.statistical.value for name, c in one.coefficients.items()})
-        hits = later.used(Mode(mode))
-        # The baseline's restitution is that of the same hits, which favours the baseline.
-        errors.append(predict_held_out(fitted, hits, hits, mission))
+        used = evidence.used(Mode(mode))
+        errors.append(predict_held_out(fitted, used, later.used(Mode(mode)), mission))
     columns = zip(*((e.peak, e.out_m_s, e.out_constant_m_s) for e in errors), strict=True)
     peak, out, constant = (max((v for v in column if v is not None), default=None) for column in columns)
     return peak, out, constant

@@ -16,16 +16,18 @@ import numpy as np
 
 from dart_flight.base.records import Mode
 from dart_flight.base.summary import Z95, student_t
+from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem
-from dart_flight.planning.contact_fit import Belief, ContactFitter
+from dart_flight.planning.contact_fit import LEVER_SHARE, Belief, ContactFit, ContactFitter
 
 _WIDE: Final = 0.8  # relative standard deviation of the prior about the configured coefficients
 _BY_CHANCE: Final = 1.3  # as in `solver`: a scatter between contacts below this ratio is chance
 _WIDEST_LOG: Final = math.log(3.0)  # a coefficient with a wider interval than a factor of three is unknown
+_FINE: Final = 4  # integration steps per reading of a prediction
 
 
 class BodyImpact(NamedTuple):
@@ -66,22 +68,62 @@ def fit_bodies(problem: LawProblem) -> tuple[dict[MeasuredImpact, BodyImpact], l
     return found, notes
 
 
-def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
+class _Readings(NamedTuple):
+    """The readings of a contact, prepared for the law at the guards; `index` is the number of the mode."""
+
+    fit: ContactFit
+    vehicle: VehicleConfig
+    index: int
+    begin_us: int
+
+
+def _readings(hit: MeasuredImpact, mass_kg: float | None = None) -> _Readings | None:
+    """Return the readings of a contact with a planned wall, or None if its flight did not record them."""
     request, flown = hit.trial.contact, hit.trial.flown
     if request is None or request.wall is None or flown is None:
         return None
-    airframe = msgspec.structs.replace(flown.config.airframe, mass_kg=mass_kg)
-    vehicle = msgspec.structs.replace(flown.config, airframe=airframe)
-    fitter = ContactFitter(vehicle)
-    index = vehicle.modes.index(Mode(hit.trial.mode))
+    vehicle = flown.config
+    if mass_kg is not None:
+        airframe = msgspec.structs.replace(vehicle.airframe, mass_kg=mass_kg)
+        vehicle = msgspec.structs.replace(vehicle, airframe=airframe)
+    fit, begin_us = ContactFitter(vehicle).make_fit(request, spread=_WIDE, scatter=0.0)
+    return _Readings(fit, vehicle, vehicle.modes.index(Mode(hit.trial.mode)), begin_us)
+
+
+def predict_body(hit: MeasuredImpact, coefficients: Coefficients) -> tuple[float, float] | None:
+    """Predict peak normal force, N, and outgoing normal velocity, m/s, from the velocity at the onset.
+
+    PX4 tilts the vehicle during a contact, and friction rotates it. The prediction uses the measured thrust
+    and rotation, but no force reading. Return None if the flight did not record them.
+    """
+    read = _readings(hit)
+    if read is None:
+        return None
+    fit, vehicle, index, _ = read
+    ticks, (normal, along) = fit.contact.ticks, fit.contact.velocity
+    prior = fit.before[index]
+    lead_s = coefficients.lead_s if Onset(vehicle.onset) is Onset.LCP else 0.0
+    k, f, mu = coefficients.k / prior.k, coefficients.f / prior.f, coefficients.mu / prior.mu
+    theta = np.array([k, f, -normal * (fit.contact.touched_s + lead_s), normal, 0.0, mu, along, LEVER_SHARE])
+    force = fit.forces(ticks, theta[:, None], np.array([index]), _FINE)[0][:, :, 0]
+    impulse = ticks.h @ (force.mean(axis=1) + ticks.push_normal)
+    return float(force.max()), normal + float(impulse) / vehicle.airframe.mass_kg
+
+
+def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
     with np.errstate(all="ignore"):
-        fit, begin_us = fitter.make_fit(request, spread=_WIDE, scatter=0.0)
+        read = _readings(hit, mass_kg)
+        if read is None:
+            return None
+        fit, vehicle, index, begin_us = read
         result = fit.run()[index]
         ticks, mode = fit.contact.ticks, np.array([index])
         force = fit.forces(ticks, result.theta[:, None], mode, 2)[0].mean(axis=1)[:, 0]
     normal_m_s = float(result.theta[3])
     if not math.isfinite(result.evidence) or normal_m_s >= 0.0:
         raise ValueError("no solution")
+    request = hit.trial.contact
+    assert request is not None
     begin_s = (begin_us - request.onset.t_us) * 1e-6
     lead_s = result.belief.f / result.belief.k if Onset(vehicle.onset) is Onset.LCP else 0.0
     recorded = hit.trial.normal
