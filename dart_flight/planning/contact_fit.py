@@ -509,14 +509,19 @@ class ContactFitter:
         return body, estimate
 
     def make_fit(
-        self, request: ContactRequest, spread: float | None = None, scatter: float = CONTACT_SCATTER
+        self,
+        request: ContactRequest,
+        spread: float | None = None,
+        scatter: float = CONTACT_SCATTER,
+        modes: Sequence[Mode] | None = None,
     ) -> tuple[ContactFit, int]:
         """Return the fit of a request's samples, and the stamp at which the first tick begins.
 
-        `spread` replaces the relative standard deviations of the prior.
+        `spread` replaces the relative standard deviations of the prior, `modes` the vehicle's modes.
         If the readings are too few, or the vehicle did not fly towards the wall, this raises ValueError.
         """
         onset, wall, imu = request.onset, request.wall, self._vehicle.imu
+        modes = modes or self._vehicle.modes
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
         velocity = (vx * nx + vy * ny, vx * ny - vy * nx)
         if sum(t_us >= onset.first_us for t_us in request.sample_us) < _FEWEST:
@@ -529,7 +534,7 @@ class ContactFitter:
             place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
             angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
         contact = ContactReadings(
-            self._ticks(request),
+            self._ticks(request, modes),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
             measure_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
@@ -538,12 +543,12 @@ class ContactFitter:
             place_sd,
             angle_sd,
         )
-        before = [self._belief(wall, mode) for mode in self._vehicle.modes]
+        before = [self._belief(wall, mode) for mode in modes]
         if spread is not None:
             before = [Belief(*belief[:4], *4 * (spread,)) for belief in before]
         return ContactFit(contact, before, self._vehicle, scatter), begin_us
 
-    def _ticks(self, request: ContactRequest) -> Ticks:
+    def _ticks(self, request: ContactRequest, modes: Sequence[Mode]) -> Ticks:
         """Return the readings; the arms' vibration is removed only from the flexible mode's readings."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
@@ -553,9 +558,9 @@ class ContactFitter:
         push = np.array(request.push_mission) + request.slow_force
         down = _down(request.q_frd_to_ned)
         turning = -(down * request.rate_frd).sum(axis=1)  # the mission's z points up
-        read = np.empty((len(h), len(self._vehicle.modes), 2))
+        read = np.empty((len(h), len(modes), 2))
         taken_out = request.mode_reported is not Mode.RIGID
-        for m, mode in enumerate(self._vehicle.modes):
+        for m, mode in enumerate(modes):
             read[:, m], swings = force[:, :2], mode is Mode.FLEXIBLE
             if arms is not None and taken_out != swings:
                 turn, moved = ArmFilter(arms, tick_s), force[:, :2] / mass

@@ -20,7 +20,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.identify.next_hits import FITTED, Design
+from dart_flight.lab.identify.next_hits import FITTED
 from dart_flight.lab.series.batch import plan_batch
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, read_flight, sort_hits
 from dart_flight.lab.series.series_file import SeriesSettings
@@ -64,10 +64,6 @@ class SeriesOutcome(msgspec.Struct, frozen=True):
     out_constant_rms_m_s: float | None
 
 
-def cases() -> list[dict[str, str]]:
-    return [{"wall": wall, "design": design.value} for wall in ("acrylic", "wood") for design in Design]
-
-
 def fly_series(point: Point, seed: int) -> SeriesOutcome:
     """Fly a series of at most 16 hits a mode, then ten hits that its result predicts."""
     mission, wall = point.mission, point.case["wall"]
@@ -77,7 +73,6 @@ def fly_series(point: Point, seed: int) -> SeriesOutcome:
         peak_force_n=mission.limits.peak_force_n,
         held_out=0.0,
         hits_per_flight=_HITS_PER_FLIGHT,
-        design=Design(point.case["design"]),
     )
     drawn = _drawn_coefficients(mission, wall, seed)
     evidence, verdicts, reasons = Evidence(), list[Verdict](), list[str]()
@@ -151,7 +146,7 @@ def _predict(
 ) -> tuple[float | None, float | None, float | None]:
     """Fly ten hits, and return the largest rms errors over the modes: peak, outgoing speed, and baseline."""
     later = Evidence()
-    more = msgspec.structs.replace(settings, hits_per_flight=_PREDICTED_HITS, design=Design.EQUAL_STEPS)
+    more = msgspec.structs.replace(settings, hits_per_flight=_PREDICTED_HITS)
     try:
         batch = plan_batch(more, mission, status, f"{settings.wall} predicted")
     except FlightError:

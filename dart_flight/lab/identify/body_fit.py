@@ -22,11 +22,12 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.measured_impacts import MeasuredImpact
 from dart_flight.lab.identify.problem import LawProblem
-from dart_flight.planning.contact_fit import LEVER_SHARE, Belief, ContactFit, ContactFitter
+from dart_flight.planning.contact_fit import CONTACT_SCATTER, LEVER_SHARE, Belief, ContactFit, ContactFitter
 
 _WIDE: Final = 0.8  # relative standard deviation of the prior about the configured coefficients
 _BY_CHANCE: Final = 1.3  # as in `solver`: a scatter between contacts below this ratio is chance
 _WIDEST_LOG: Final = math.log(3.0)  # a coefficient with a wider interval than a factor of three is unknown
+_ONLY: Final = np.array([0])  # number of the only mode of a fit
 _FINE: Final = 4  # integration steps per reading of a prediction
 
 
@@ -69,11 +70,10 @@ def fit_bodies(problem: LawProblem) -> tuple[dict[MeasuredImpact, BodyImpact], l
 
 
 class _Readings(NamedTuple):
-    """The readings of a contact, prepared for the law at the guards; `index` is the number of the mode."""
+    """The readings of a contact, prepared for the law at the guards in the mode of the trial."""
 
     fit: ContactFit
     vehicle: VehicleConfig
-    index: int
     begin_us: int
 
 
@@ -86,8 +86,9 @@ def _readings(hit: MeasuredImpact, mass_kg: float | None = None) -> _Readings | 
     if mass_kg is not None:
         airframe = msgspec.structs.replace(vehicle.airframe, mass_kg=mass_kg)
         vehicle = msgspec.structs.replace(vehicle, airframe=airframe)
-    fit, begin_us = ContactFitter(vehicle).make_fit(request, spread=_WIDE, scatter=0.0)
-    return _Readings(fit, vehicle, vehicle.modes.index(Mode(hit.trial.mode)), begin_us)
+    modes = (Mode(hit.trial.mode),)
+    fit, begin_us = ContactFitter(vehicle).make_fit(request, _WIDE, 0.0, modes)
+    return _Readings(fit, vehicle, begin_us)
 
 
 def predict_body(hit: MeasuredImpact, coefficients: Coefficients) -> tuple[float, float] | None:
@@ -99,13 +100,13 @@ def predict_body(hit: MeasuredImpact, coefficients: Coefficients) -> tuple[float
     read = _readings(hit)
     if read is None:
         return None
-    fit, vehicle, index, _ = read
+    fit, vehicle, _ = read
     ticks, (normal, along) = fit.contact.ticks, fit.contact.velocity
-    prior = fit.before[index]
+    prior = fit.before[0]
     lead_s = coefficients.lead_s if Onset(vehicle.onset) is Onset.LCP else 0.0
     k, f, mu = coefficients.k / prior.k, coefficients.f / prior.f, coefficients.mu / prior.mu
     theta = np.array([k, f, -normal * (fit.contact.touched_s + lead_s), normal, 0.0, mu, along, LEVER_SHARE])
-    force = fit.forces(ticks, theta[:, None], np.array([index]), _FINE)[0][:, :, 0]
+    force = fit.forces(ticks, theta[:, None], _ONLY, _FINE)[0][:, :, 0]
     impulse = ticks.h @ (force.mean(axis=1) + ticks.push_normal)
     return float(force.max()), normal + float(impulse) / vehicle.airframe.mass_kg
 
@@ -115,10 +116,10 @@ def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
         read = _readings(hit, mass_kg)
         if read is None:
             return None
-        fit, vehicle, index, begin_us = read
-        result = fit.run()[index]
-        ticks, mode = fit.contact.ticks, np.array([index])
-        force = fit.forces(ticks, result.theta[:, None], mode, 2)[0].mean(axis=1)[:, 0]
+        fit, vehicle, begin_us = read
+        (result,) = fit.run()
+        ticks = fit.contact.ticks
+        force = fit.forces(ticks, result.theta[:, None], _ONLY, 2)[0].mean(axis=1)[:, 0]
     normal_m_s = float(result.theta[3])
     if not math.isfinite(result.evidence) or normal_m_s >= 0.0:
         raise ValueError("no solution")
@@ -129,13 +130,13 @@ def _fit_body(hit: MeasuredImpact, mass_kg: float) -> BodyImpact | None:
     recorded = hit.trial.normal
     plane_m = float(np.interp(begin_s, recorded.time_s, recorded.value)) - result.place_m
     return BodyImpact(
-        fit.before[index],
+        fit.before[0],
         result.belief,
         result.misfit,
         onset_s=begin_s - result.place_m / normal_m_s - lead_s,
         normal_m_s=normal_m_s,
         plane_m=Estimate.about(plane_m, Z95 * result.place_sd),
-        force_errors_n=(force - ticks.normal[:, index])[~ticks.bound],
+        force_errors_n=(force - ticks.normal[:, 0])[~ticks.bound],
         vertical_side=-vehicle.vertical_force_sign,
     )
 
@@ -170,11 +171,13 @@ def _combined(values: Array, sds: Array, priors: Array) -> Estimate | None:
     """Return the mean of the contacts without their priors; None if the interval is too wide.
 
     A contact's posterior is the product of its prior and of what it measured. The prior is divided out, so
-    that many contacts do not count it many times.
+    that many contacts do not count it many times. Contacts also scatter about the mean, so a contact that is
+    measured precisely does not count much more than the others.
     """
     prior = (_WIDE * priors) ** -2.0
     precision = np.maximum(sds**-2.0 - prior, 1e-9 * prior)
     measured = (values * sds**-2.0 - priors * prior) / precision
+    precision = 1.0 / (1.0 / precision + (CONTACT_SCATTER * np.median(measured)) ** 2)
     total, n = float(precision.sum()), len(values)
     value = float(precision @ measured) / total
     half = Z95 * total**-0.5
