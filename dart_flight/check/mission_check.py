@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import date
 from pathlib import Path
 
 from dart_flight.base.geometry import Vec3
-from dart_flight.base.records import AfterImpact
+from dart_flight.base.records import AfterImpact, Mode
 from dart_flight.check.findings import CheckFinding
 from dart_flight.check.probe_check import check_located_wall, check_probe
-from dart_flight.config.material_history import newest_entry, read_history
+from dart_flight.config.material_history import HistoryEntry, newest_entry, read_history
 from dart_flight.config.mission import Collision, Mission
 from dart_flight.core.mission.approach import (
     NoApproachError,
@@ -45,6 +45,7 @@ from dart_flight.planning.predicted_flight import (
     predict_mission,
     predicted_segments,
 )
+from dart_flight.recording.later_flights import AGREES, FLIGHTS, contradicts, later_excesses, mean_excess
 
 _FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
@@ -510,8 +511,12 @@ def check_flown(mission: Mission) -> CheckFinding:
     return CheckFinding("flown", True, message, remark=flown.failure is not None, figures=figures)
 
 
-def check_materials(mission: Mission) -> list[CheckFinding]:
-    """Return the source of each material's coefficients, and their age if `series apply` wrote them."""
+def check_materials(mission: Mission, flights: Path = FLIGHTS) -> list[CheckFinding]:
+    """Return the source of each material's coefficients.
+
+    If `series apply` wrote them, the finding has their age, and a remark if the newest flights below
+    `flights` disagree with them.
+    """
     findings = []
     source_file = None if mission.vehicle_source is None else mission.vehicle_source.source
     history = () if source_file is None else read_history(Path(source_file))
@@ -525,5 +530,25 @@ def check_materials(mission: Mission) -> list[CheckFinding]:
         if applied:
             ages = [f"{one.mode} {(date.today() - one.day).days} days old" for one in applied]
             message += f"; coefficients: {', '.join(ages)}"
-        findings.append(CheckFinding(f"material_{name}", True, message, remark=assumed))
+        differing = list(_differing(mission, name, applied, flights))
+        message += "".join(f"; {text}" for text in differing)
+        findings.append(CheckFinding(f"material_{name}", True, message, remark=assumed or bool(differing)))
     return findings
+
+
+def _differing(
+    mission: Mission, material: str, applied: Sequence[HistoryEntry], flights: Path
+) -> Iterator[str]:
+    """Yield a sentence for each mode whose applied coefficients the newest flights contradict."""
+    if not applied:
+        return
+    since = min(one.day for one in applied)
+    excesses = later_excesses(flights, since, mission.vehicle, material)
+    for mode in (Mode(one.mode) for one in applied):
+        if (values := excesses.get(mode)) and contradicts(*mean_excess(values)):
+            mean, count = mean_excess(values)[0], len(values)
+            yield (
+                f"the last {count} hit{'s' * (count > 1)} {mode} had {100.0 * abs(mean):.0f} % "
+                f"{'more' if mean > 0.0 else 'less'} force than these coefficients predict (limit "
+                f"{100.0 * AGREES:.0f} %): measure the wall again with `series`"
+            )

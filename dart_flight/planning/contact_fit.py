@@ -70,7 +70,7 @@ _MAX_MISFIT: Final = 2.0  # the law does not fit if the normalised residuals hav
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
 _VELOCITY_SHARE: Final = 0.02  # fraction of the speed, added to `_VELOCITY_M_S`
 _VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
-_LEVER_SHARE: Final = 0.3  # prior mean of b, the lever arm of the friction divided by d
+LEVER_SHARE: Final = 0.3  # prior mean of b, the lever arm of the friction divided by d
 _LEVER_SD: Final = 0.3  # prior standard deviation of b: both 0 and twice the mean are plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
@@ -288,7 +288,7 @@ class ContactFit:
         k = np.where(believed, before[0], np.clip(k, 0.5 * before[0], 2.0 * before[0]))
         place = -normal * (c.touched_s + before[1] / k) + self._along * np.sin(np.abs(lead))
         one = np.ones_like(lead)
-        return np.stack([k / before[0], one, place, normal, angle, one, along, _LEVER_SHARE * one])
+        return np.stack([k / before[0], one, place, normal, angle, one, along, LEVER_SHARE * one])
 
     def _linearized(self, theta: Array, mode: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Return cost (L, D), Jacobian (8, R, L, D) and residuals (R, L, D) at parameters (8, L, D).
@@ -319,7 +319,7 @@ class ContactFit:
         (vn, vt), one = c.velocity, np.ones_like(co)
         normal, sliding = _turned(vn, vt, co, so)
         means = np.stack(
-            [one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding, _LEVER_SHARE * one]
+            [one, one, -vn * c.touched_s * one, normal, 0.0 * one, one, sliding, LEVER_SHARE * one]
         )
         return np.concatenate([*parts, (theta - means) / self._sd[:, mode]])
 
@@ -510,14 +510,19 @@ class ContactFitter:
         return body, estimate
 
     def make_fit(
-        self, request: ContactRequest, spread: float | None = None, scatter: float = CONTACT_SCATTER
+        self,
+        request: ContactRequest,
+        spread: float | None = None,
+        scatter: float = CONTACT_SCATTER,
+        modes: Sequence[Mode] | None = None,
     ) -> tuple[ContactFit, int]:
         """Return the fit of a request's samples, and the stamp at which the first tick begins.
 
-        `spread` replaces the relative standard deviations of the prior.
+        `spread` replaces the relative standard deviations of the prior, `modes` the vehicle's modes.
         If the readings are too few, or the vehicle did not fly towards the wall, this raises ValueError.
         """
         onset, wall, imu = request.onset, request.wall, self._vehicle.imu
+        modes = modes or self._vehicle.modes
         (nx, ny), (vx, vy, _) = request.normal, onset.velocity_mission
         velocity = (vx * nx + vy * ny, vx * ny - vy * nx)
         if sum(t_us >= onset.first_us for t_us in request.sample_us) < _FEWEST:
@@ -530,7 +535,7 @@ class ContactFitter:
             place_sd = max(_PLACE_M, float(wall.plane_sd_m(onset.position_mission)))
             angle_sd = max(_WALL_RAD, wall.yaw_sd_rad or 0.0)
         contact = ContactReadings(
-            self._ticks(request),
+            self._ticks(request, modes),
             (onset.first_us - begin_us) * 1e-6 - 0.75 * imu.tick_s,
             velocity,
             measure_incidence(request.frame_heading_rad, request.q_frd_to_ned[0], request.normal),
@@ -539,12 +544,12 @@ class ContactFitter:
             place_sd,
             angle_sd,
         )
-        before = [self._belief(wall, mode) for mode in self._vehicle.modes]
+        before = [self._belief(wall, mode) for mode in modes]
         if spread is not None:
             before = [Belief(*belief[:4], *4 * (spread,)) for belief in before]
         return ContactFit(contact, before, self._vehicle, scatter), begin_us
 
-    def _ticks(self, request: ContactRequest) -> Ticks:
+    def _ticks(self, request: ContactRequest, modes: Sequence[Mode]) -> Ticks:
         """Return the readings; the arms' vibration is removed only from the flexible mode's readings."""
         arms, mass = self._vehicle.estimation.arm_vibration, self._vehicle.airframe.mass_kg
         tick_s, (nx, ny) = self._vehicle.imu.tick_s, request.normal
@@ -554,9 +559,9 @@ class ContactFitter:
         push = np.array(request.push_mission) + request.slow_force
         down = _down(request.q_frd_to_ned)
         turning = -(down * request.rate_frd).sum(axis=1)  # the mission's z points up
-        read = np.empty((len(h), len(self._vehicle.modes), 2))
+        read = np.empty((len(h), len(modes), 2))
         taken_out = request.mode_reported is not Mode.RIGID
-        for m, mode in enumerate(self._vehicle.modes):
+        for m, mode in enumerate(modes):
             read[:, m], swings = force[:, :2], mode is Mode.FLEXIBLE
             if arms is not None and taken_out != swings:
                 turn, moved = ArmFilter(arms, tick_s), force[:, :2] / mass

@@ -20,7 +20,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.lab.identify.next_hits import FITTED, Design
+from dart_flight.lab.identify.next_hits import FITTED
 from dart_flight.lab.series.batch import plan_batch
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, read_flight, sort_hits
 from dart_flight.lab.series.series_file import SeriesSettings
@@ -64,10 +64,6 @@ class SeriesOutcome(msgspec.Struct, frozen=True):
     out_constant_rms_m_s: float | None
 
 
-def cases() -> list[dict[str, str]]:
-    return [{"wall": wall, "design": design.value} for wall in ("acrylic", "wood") for design in Design]
-
-
 def fly_series(point: Point, seed: int) -> SeriesOutcome:
     """Fly a series of at most 16 hits a mode, then ten hits that its result predicts."""
     mission, wall = point.mission, point.case["wall"]
@@ -77,7 +73,6 @@ def fly_series(point: Point, seed: int) -> SeriesOutcome:
         peak_force_n=mission.limits.peak_force_n,
         held_out=0.0,
         hits_per_flight=_HITS_PER_FLIGHT,
-        design=Design(point.case["design"]),
     )
     drawn = _drawn_coefficients(mission, wall, seed)
     evidence, verdicts, reasons = Evidence(), list[Verdict](), list[str]()
@@ -91,7 +86,7 @@ def fly_series(point: Point, seed: int) -> SeriesOutcome:
             reasons.append(str(error))
             break
     hits, flights = sum(one.flown for one in status.modes.values()), len(verdicts)
-    predicted = _predict(settings, mission, drawn, status, verdicts, seed)
+    predicted = _predict(settings, mission, drawn, status, evidence, verdicts, seed)
     truths = [c.truth.peak_force_n or 0.0 for v in verdicts for c in v.collisions if c.truth is not None]
     reasons += [v.reason for v in verdicts if v.reason is not None]
     return SeriesOutcome(
@@ -145,12 +140,13 @@ def _predict(
     mission: Mission,
     drawn: dict[Mode, Coefficients],
     status: SeriesStatus,
+    evidence: Evidence,
     verdicts: list[Verdict],
     seed: int,
 ) -> tuple[float | None, float | None, float | None]:
     """Fly ten hits, and return the largest rms errors over the modes: peak, outgoing speed, and baseline."""
     later = Evidence()
-    more = msgspec.structs.replace(settings, hits_per_flight=_PREDICTED_HITS, design=Design.EQUAL_STEPS)
+    more = msgspec.structs.replace(settings, hits_per_flight=_PREDICTED_HITS)
     try:
         batch = plan_batch(more, mission, status, f"{settings.wall} predicted")
     except FlightError:
@@ -161,9 +157,8 @@ def _predict(
     errors = []
     for mode, one in status.modes.items():
         fitted = Coefficients(**{name: c.statistical.value for name, c in one.coefficients.items()})
-        hits = later.used(Mode(mode))
-        # The baseline's restitution is that of the same hits, which favours the baseline.
-        errors.append(predict_held_out(fitted, hits, hits, mission))
+        used = evidence.used(Mode(mode))
+        errors.append(predict_held_out(fitted, used, later.used(Mode(mode)), mission))
     columns = zip(*((e.peak, e.out_m_s, e.out_constant_m_s) for e in errors), strict=True)
     peak, out, constant = (max((v for v in column if v is not None), default=None) for column in columns)
     return peak, out, constant

@@ -1,14 +1,13 @@
 """The choice of the next hits of a trial series: a pure function of the fit so far and the limits.
 
-Three designs have one signature, so that a campaign can compare them: a fixed design at two levels, equal
-steps of speed, and a D-optimal choice over speed, angle and mode.
+The speeds are equal steps up to the fastest safe speed. A fixed choice of two speeds and a D-optimal choice
+over speed, angle and mode did not give clearly narrower intervals (docs/results/series.md).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,21 +20,11 @@ from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.impact_fit import SD_OUT, SD_PEAK
 
 FITTED: Final = ("k", "f", "mu")
-_SLIDING: Final = 0.4  # velocity along the wall of the fixed designs, relative to the normal velocity
-_SLIDINGS: Final = (0.0, 0.2, 0.4, 0.6)
+_SLIDING: Final = 0.4  # velocity along the wall, relative to the normal velocity
 _SPEED_SD_M_S: Final = 0.05  # standard deviation of the flown approach speed
 _MARGIN_SDS: Final = 2.0
 _SLIDING_SD: Final = 0.05  # measured tangential ratio
-_SPEEDS: Final = 13  # speeds among which the D-optimal design chooses
 _STEP: Final = 1e-3
-
-
-class Design(StrEnum):
-    """A rule that chooses the speeds of the next hits."""
-
-    TWO_LEVELS = "two_levels"
-    EQUAL_STEPS = "equal_steps"
-    D_OPTIMAL = "d_optimal"
 
 
 class Known(NamedTuple):
@@ -106,18 +95,19 @@ class NextHit(NamedTuple):
     highest_n: float
 
 
-def next_hits(
-    fits: Mapping[Mode, ModeFit],
-    limits: NextHitLimits,
-    count: int,
-    design: Design = Design.EQUAL_STEPS,
-) -> list[NextHit]:
+def next_hits(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> list[NextHit]:
     """Return up to `count` hits in all modes together, the smallest peak first.
 
-    The list is empty if no speed of the range stays below the force limit.
+    The speeds of a mode are equal steps between the slowest speed and the fastest safe speed. The list is
+    empty if no speed of the range stays below the force limit.
     """
-    chosen = _DESIGNS[design](fits, limits, count)
-    hits = [predict_hit(fits[mode], limits, mode, -speed, slide) for mode, speed, slide in chosen]
+    hits = []
+    for i, (mode, fit) in enumerate(fits.items()):
+        number = count // len(fits) + (i < count % len(fits))
+        top = fastest_m_s(fit, limits)
+        if top is not None:
+            speeds = np.linspace(limits.slowest_m_s, top, number).tolist()
+            hits += [predict_hit(fit, limits, mode, -speed, _SLIDING * speed) for speed in speeds]
     return sorted(hits, key=lambda hit: hit.highest_n)
 
 
@@ -165,63 +155,6 @@ def _highest_n(fit: ModeFit, limits: NextHitLimits, normal_m_s: float, tangentia
     return float(_peak(contact).max())
 
 
-# --- designs: (mode, normal speed, velocity along the wall) of each hit -------------------------------------
-
-_Chosen = list[tuple[Mode, float, float]]
-
-
-def _at_levels(
-    fits: Mapping[Mode, ModeFit],
-    limits: NextHitLimits,
-    count: int,
-    levels: Callable[[int, float, float], Array],
-) -> _Chosen:
-    """Return hits at the levels of each mode; `levels` gets their number, and the smallest and largest."""
-    chosen = []
-    for mode, number in zip(fits, _shares(count, len(fits)), strict=True):
-        top = fastest_m_s(fits[mode], limits)
-        if top is not None:
-            speeds = levels(number, limits.slowest_m_s, top)
-            chosen += [(mode, float(speed), _SLIDING * float(speed)) for speed in speeds]
-    return chosen
-
-
-def _shares(count: int, parts: int) -> list[int]:
-    return [count // parts + (i < count % parts) for i in range(parts)]
-
-
-def _two_levels(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
-    return _at_levels(fits, limits, count, lambda n, low, high: np.resize([low, high], n))
-
-
-def _equal_steps(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
-    return _at_levels(fits, limits, count, lambda n, low, high: np.linspace(low, high, n))
-
-
-def _d_optimal(fits: Mapping[Mode, ModeFit], limits: NextHitLimits, count: int) -> _Chosen:
-    """Choose one hit after the other, each with the largest gain of information over all modes."""
-    information, options = {}, []
-    for mode, fit in fits.items():
-        prior = np.array([fit.k.half, fit.f.half, fit.mu.half]) / 1.96
-        information[mode] = np.diag(prior**-2.0)
-        for sliding in _SLIDINGS:
-            top = fastest_m_s(fit, limits, sliding)
-            if top is not None:
-                speeds = np.linspace(limits.slowest_m_s, top, _SPEEDS)
-                options += [(mode, float(speed), sliding * float(speed)) for speed in speeds]
-    added = [information_of(fits[mode], limits, -speed, along) for mode, speed, along in options]
-    chosen: _Chosen = []
-    for _ in range(count if options else 0):
-        gains = [
-            np.linalg.slogdet(information[mode] + more)[1] - np.linalg.slogdet(information[mode])[1]
-            for (mode, _, _), more in zip(options, added, strict=True)
-        ]
-        best = int(np.argmax(gains))
-        information[options[best][0]] += added[best]
-        chosen.append(options[best])
-    return chosen
-
-
 def information_of(fit: ModeFit, limits: NextHitLimits, normal_m_s: float, tangential_m_s: float) -> Array:
     """Return the information (3, 3) that a hit is expected to add on the logarithms of k, f and mu."""
     logs = np.log([fit.k.value, max(fit.f.value, 1e-3), max(fit.mu.value, 1e-3)])
@@ -245,10 +178,3 @@ def expected_halves(fit: ModeFit, limits: NextHitLimits, hits: Sequence[NextHit]
         total = total + information_of(fit, limits, hit.normal_m_s, hit.tangential_m_s)
     halves = 1.96 * np.sqrt(np.diag(np.linalg.inv(total)))
     return dict(zip(FITTED, halves.tolist(), strict=True))
-
-
-_DESIGNS: Final = {
-    Design.TWO_LEVELS: _two_levels,
-    Design.EQUAL_STEPS: _equal_steps,
-    Design.D_OPTIMAL: _d_optimal,
-}

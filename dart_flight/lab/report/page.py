@@ -7,7 +7,6 @@ animation is missing.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from statistics import fmean
 from typing import Any
 
 import msgspec
@@ -22,7 +21,7 @@ from dart_flight.base.records import (
     WallEstimate,
     World,
 )
-from dart_flight.base.summary import mean_half_width, spread
+from dart_flight.base.summary import spread
 from dart_flight.config.document import InputError, dotted, iterate_leaves
 from dart_flight.lab.holes import describe_missing_parts
 from dart_flight.lab.report.figures import forces, motion
@@ -31,12 +30,10 @@ from dart_flight.lab.report.figures.flight_map import flight_map
 from dart_flight.lab.report.player import player_data
 from dart_flight.lab.report.recorded_flight import Impact, RecordedFlight, percentile
 from dart_flight.lab.report.render import Cell, Number, PageTable, Row, asset, picture, render, signed
+from dart_flight.recording.later_flights import contradicts, mean_excess
 from dart_flight.recording.plan_versus_flight import format_departures
 from dart_flight.recording.verdict import Verdict
 
-# A disagreement of peak forces below `AGREES` is no evidence against k, because 20 % of k changes the peak by
-# 10 %. A single hit has no spread, so `_ALONE` allows for the error of the measured velocity, up to 4 %.
-AGREES, _ALONE = 0.05, 0.1
 _MAIN_ROWS = ("normal velocity", "peak force", "peak normal force", "peak friction force", "contact time")
 _PLAN_HEADS = ["", "planned", "flown", "tolerance", "within"]
 
@@ -372,23 +369,14 @@ def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tupl
             if value is not None:
                 by_force.setdefault(f"{impact.verdict.mode}, {force}", []).append(value)
     return {
-        material: {force: _mean(values) for force, values in by_force.items()}
+        material: {force: mean_excess(values) for force, values in by_force.items()}
         for material, by_force in found.items()
     }
 
 
-def _mean(values: Sequence[float]) -> tuple[float, float]:
-    half = mean_half_width(values)
-    return fmean(values), _ALONE if half is None else half
-
-
 def beyond(disagreement: dict[str, tuple[float, float]]) -> bool:
-    """Return whether the measured peak forces of a material contradict the contact law.
-
-    They contradict the law if the magnitude of a mean disagreement exceeds both `AGREES` and half the width
-    of the mean's 95 % interval.
-    """
-    return any(abs(mean) > max(half, AGREES) for mean, half in disagreement.values())
+    """Return whether the measured peak forces of a material contradict the contact law."""
+    return any(contradicts(mean, half) for mean, half in disagreement.values())
 
 
 def _coefficients(flights: Sequence[RecordedFlight]) -> list[dict[str, Any]]:

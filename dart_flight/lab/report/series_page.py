@@ -12,14 +12,14 @@ from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission
 from dart_flight.config.units import COEFFICIENTS
 from dart_flight.config.vehicle import Coefficients
-from dart_flight.contact.coefficients import Array, CoefficientArrays
-from dart_flight.contact.contact_map import WallContact, contact_map
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.figure_style import ESTIMATED, GREY, PAGE, PREDICTED, in_style, legend_above, new_figure
 from dart_flight.lab.report.render import Number, PageTable, Row, picture, render
 from dart_flight.lab.series.evidence import Evidence, SeriesHit
 from dart_flight.lab.series.series_file import SeriesSettings
-from dart_flight.lab.series.status import ModeStatus, SeriesStatus, describe
+from dart_flight.lab.series.status import ModeStatus, SeriesStatus, describe, predict_hit
 
 
 def series_page(
@@ -81,50 +81,58 @@ def _row(hit: SeriesHit, logs: dict[str, str]) -> Row:
     return [
         {"command": hit.name, "log": logs[hit.flight]},
         hit.mode.value,
-        measured.normal_m_s if m is None else -m.normal_in_m_s,
+        measured.normal_m_s,
         measured.tangential_m_s if m is None else m.tangential_in_m_s,
         measured.peak_force_n,
-        None if m is None else m.normal_out_m_s,
+        measured.normal_out_m_s,
         None if body is None else body.belief.k,
         f"set aside: {hit.aside}" if hit.aside else "held out" if hit.held_out else "used",
     ]
 
 
-def _predict(one: ModeStatus, mission: Mission, speed: Array) -> WallContact[Array]:
-    fitted = Coefficients(**{name: c.statistical.value for name, c in one.coefficients.items()})
-    vehicle = mission.vehicle
-    table, mass_kg = CoefficientArrays.from_table(fitted), vehicle.airframe.mass_kg
-    return contact_map(table, mass_kg, -speed, np.zeros_like(speed), Onset(vehicle.onset))
-
-
 @in_style
 def _figure(one: ModeStatus, mission: Mission, hits: list[SeriesHit]) -> Any:
-    """Plot peak force and outgoing speed over the incoming speed, and their residuals."""
+    """Plot peak force and outgoing speed over the incoming speed, and their residuals.
+
+    The line is the law alone. The residuals include the measured thrust of each contact.
+    """
     figure, axes = new_figure(PAGE, 4.2, 2, 2, sharex=True)
-    fastest = max(hit.measured.normal_in_m_s for hit in hits if hit.measured is not None)
-    line = np.linspace(0.05, 1.1 * fastest, 60)
-    law = _predict(one, mission, line)
-    quantities = (
-        ("peak_normal_force_n", "peak_force_n", "peak force, N"),
-        ("normal_out_m_s", "normal_out_m_s", "outgoing speed, m/s"),
+    fitted = Coefficients(**{name: c.statistical.value for name, c in one.coefficients.items()})
+    vehicle = mission.vehicle
+    line = np.linspace(0.05, 1.1 * max(_speed(hit) for hit in hits), 60)
+    law = contact_map(
+        CoefficientArrays.from_table(fitted),
+        vehicle.airframe.mass_kg,
+        -line,
+        np.zeros_like(line),
+        Onset(vehicle.onset),
     )
-    for column, (predicted, measured, words) in enumerate(quantities):
+    rows = [
+        (hit.held_out, _speed(hit), found, (hit.measured.peak_force_n, hit.verdict.measured.normal_out_m_s))
+        for hit in hits
+        if hit.measured is not None and (found := predict_hit(hit, fitted, mission)) is not None
+    ]
+    curves = (law.peak_normal_force_n, "peak force, N"), (law.normal_out_m_s, "outgoing speed, m/s")
+    for column, (curve, words) in enumerate(curves):
         top, bottom = axes[0][column], axes[1][column]
-        top.plot(line, getattr(law, predicted), **PREDICTED, label="law")
+        top.plot(line, curve, **PREDICTED, label="law")
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
         for held, name, marker in ((False, "used", "o"), (True, "held out", "s")):
             shown = [
-                (hit.measured.normal_in_m_s, getattr(hit.measured, measured))
-                for hit in hits
-                if hit.held_out is held and hit.measured is not None
+                (speed, measured[column], measured[column] - predicted[column])
+                for held_out, speed, predicted, measured in rows
+                if held_out is held and measured[column] is not None
             ]
-            points = np.array([p for p in shown if p[1] is not None]).reshape(-1, 2)
+            speeds, values, off = np.array(shown, dtype=float).reshape(-1, 3).T
             fill = {"markerfacecolor": "none"} if held else {}
             style = {"color": ESTIMATED["color"], "markersize": 4, **fill}
-            top.plot(*points.T, marker, label=name, **style)
-            off = points[:, 1] - getattr(_predict(one, mission, points[:, 0]), predicted)
-            bottom.plot(points[:, 0], off, marker, **style)
+            top.plot(speeds, values, marker, label=name, **style)
+            bottom.plot(speeds, off, marker, **style)
         top.set(ylabel=words)
-        bottom.set(xlabel="incoming speed, m/s", ylabel="measured - law")
+        bottom.set(xlabel="incoming speed, m/s", ylabel="measured - predicted")
     legend_above(axes[0][0], 3)
     return figure
+
+
+def _speed(hit: SeriesHit) -> float:
+    return -(hit.verdict.measured.normal_m_s or 0.0)

@@ -45,7 +45,7 @@ def plan_batch(settings: SeriesSettings, mission: Mission, status: SeriesStatus,
         "limit) by the upper end of the interval: reduce speeds_m_s in series.yaml"
     )
     while limits.fastest_m_s >= limits.slowest_m_s:
-        hits = next_hits(missing or fits, limits, settings.hits_per_flight, settings.design)
+        hits = next_hits(missing or fits, limits, settings.hits_per_flight)
         if not hits:
             break
         tree = batch_tree(mission, settings.wall, hits, name, settings.peak_force_n)

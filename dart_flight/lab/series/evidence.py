@@ -127,7 +127,9 @@ def _read_drop(path: Path, name: str, drop: DropTrial, folder: SeriesFolder) -> 
     if len(trials) != 1:
         raise InputError(f"the file has {len(trials)} drops, expected one", source=str(path))
     measured = measure_impact(trials[0], mass_kg)
-    speeds = Velocities(-measured.normal_in_m_s, peak_force_n=measured.peak_force_n)
+    speeds = Velocities(
+        -measured.normal_in_m_s, peak_force_n=measured.peak_force_n, normal_out_m_s=measured.normal_out_m_s
+    )
     verdict = CollisionVerdict(1, settings.wall, drop.mode.value, 0, measured=speeds)
     hit = SeriesHit(name, 1, drop.mode, verdict, measured)
     excluded = [one.why for one in settings.excluded if (one.flight, one.hit) == (name, 1)]

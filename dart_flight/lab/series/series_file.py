@@ -23,7 +23,7 @@ from dart_flight.config.held_files import HeldError, HeldFile, program_name
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
 from dart_flight.config.section import Metres, Section, Speed
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
-from dart_flight.lab.identify.next_hits import FITTED, Design
+from dart_flight.lab.identify.next_hits import FITTED
 from dart_flight.recording.found import LOG_NAME
 
 SETTINGS: Final = "series.yaml"
@@ -81,7 +81,6 @@ class SeriesSettings(Section, frozen=True, kw_only=True):
         peak_force_n: largest contact force; a planned peak is at most 0.8 of it.
         held_out: share of the hits that only check the prediction.
         hits_per_flight: number of hits that one battery can fly.
-        design: rule that chooses the next hits.
         excluded: hits that the operator has excluded.
         added: flights in the folder `added`, which other commands flew.
         heights_m: smallest and largest height of a series of drops; null: hits on a wall.
@@ -97,7 +96,6 @@ class SeriesSettings(Section, frozen=True, kw_only=True):
     aims: Aims = Aims()
     held_out: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.2
     hits_per_flight: Annotated[int, Meta(ge=1, le=100)] = 8
-    design: Design = Design.EQUAL_STEPS
     excluded: tuple[ExcludedHit, ...] = ()
     added: tuple[str, ...] = ()
     heights_m: tuple[Metres, Metres] | None = None

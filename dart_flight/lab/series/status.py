@@ -17,7 +17,7 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
-from dart_flight.lab.identify.body_fit import combine
+from dart_flight.lab.identify.body_fit import combine, predict_body
 from dart_flight.lab.identify.estimates import Estimate
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
@@ -255,35 +255,27 @@ def predict_held_out(
     fitted: Coefficients, used: Sequence[SeriesHit], held: Sequence[SeriesHit], mission: Mission
 ) -> HeldOutErrors:
     """Predict the held-out hits by the law, and by the median restitution of the used hits."""
-    vehicle, table = mission.vehicle, CoefficientArrays.from_table(fitted)
     ratios = [
-        hit.measured.normal_out_m_s / hit.measured.normal_in_m_s
-        for hit in used
-        if hit.measured is not None and hit.measured.normal_out_m_s is not None
+        speeds.normal_out_m_s / -speeds.normal_m_s
+        for speeds in (hit.verdict.measured for hit in used)
+        if speeds.normal_m_s and speeds.normal_out_m_s is not None
     ]
     restitution = float(np.median(ratios)) if ratios else math.nan
     rows = []
     for hit in held:
-        m = hit.measured
-        if m is None or m.normal_out_m_s is None or m.peak_force_n is None:
+        speeds, predicted = hit.verdict.measured, predict_hit(hit, fitted, mission)
+        peak_n = None if hit.measured is None else hit.measured.peak_force_n
+        if predicted is None or peak_n is None or not speeds.normal_m_s or speeds.normal_out_m_s is None:
             continue
-        contact = contact_map(
-            table,
-            vehicle.airframe.mass_kg,
-            -m.normal_in_m_s,
-            m.tangential_in_m_s or 0.0,
-            Onset(vehicle.onset),
-            acceleration_m_s2=m.trial.acceleration_m_s2 or None,
-        )
         rows.append(
             HeldOutPrediction(
                 hit.name,
-                -m.normal_in_m_s,
-                float(contact.peak_normal_force_n),
-                m.peak_force_n,
-                float(contact.normal_out_m_s),
-                m.normal_out_m_s,
-                restitution * m.normal_in_m_s,
+                speeds.normal_m_s,
+                predicted[0],
+                peak_n,
+                predicted[1],
+                speeds.normal_out_m_s,
+                restitution * -speeds.normal_m_s,
             )
         )
     return HeldOutErrors(
@@ -292,6 +284,25 @@ def predict_held_out(
         _rms([row.out_m_s - row.out_measured_m_s for row in rows]),
         _rms([row.out_constant_m_s - row.out_measured_m_s for row in rows]),
     )
+
+
+def predict_hit(hit: SeriesHit, fitted: Coefficients, mission: Mission) -> tuple[float, float] | None:
+    """Return a hit's predicted peak normal force, N, and outgoing speed, m/s, or None if it is not usable."""
+    m = hit.measured
+    if m is None:
+        return None
+    if hit.body is not None:
+        return predict_body(m, fitted)
+    vehicle, push = mission.vehicle, m.trial.acceleration_m_s2 or None
+    contact = contact_map(
+        CoefficientArrays.from_table(fitted),
+        vehicle.airframe.mass_kg,
+        -m.normal_in_m_s,
+        m.tangential_in_m_s or 0.0,
+        Onset(vehicle.onset),
+        acceleration_m_s2=push,
+    )
+    return float(contact.peak_normal_force_n), float(contact.normal_out_m_s)
 
 
 def _rms(errors: Sequence[float]) -> float | None:

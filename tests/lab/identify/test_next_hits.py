@@ -13,7 +13,6 @@ from dart_flight.contact.coefficients import CoefficientArrays
 from dart_flight.contact.contact_map import contact_map
 from dart_flight.contact.law import Onset
 from dart_flight.lab.identify.next_hits import (
-    Design,
     Known,
     ModeFit,
     NextHitLimits,
@@ -24,7 +23,6 @@ from dart_flight.lab.identify.next_hits import (
 )
 
 VEHICLE = load_vehicle()
-DESIGNS = list(Design)
 
 
 def limits(peak_n: float = 96.0, fastest: float = 1.5) -> NextHitLimits:
@@ -39,10 +37,9 @@ def fit(mode: Mode, half: float = 0.6) -> ModeFit:
 BOTH = {mode: fit(mode) for mode in (Mode.FLEXIBLE, Mode.RIGID)}
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-def test_no_planned_peak_exceeds_the_limit_by_the_upper_end_of_the_interval(design: Design) -> None:
+def test_no_planned_peak_exceeds_the_limit_by_the_upper_end_of_the_interval() -> None:
     rng = np.random.default_rng(1)
-    for hit in next_hits(BOTH, limits(), 8, design):
+    for hit in next_hits(BOTH, limits(), 8):
         assert hit.peak_n < hit.highest_n <= 96.0 * (1.0 + 1e-9)
         own = BOTH[hit.mode]
         for _ in range(50):
@@ -55,9 +52,8 @@ def test_no_planned_peak_exceeds_the_limit_by_the_upper_end_of_the_interval(desi
             assert peak_n <= hit.highest_n
 
 
-@pytest.mark.parametrize("design", DESIGNS)
-def test_hits_are_within_the_speeds_and_the_gentlest_is_first(design: Design) -> None:
-    hits = next_hits(BOTH, limits(), 8, design)
+def test_hits_are_within_the_speeds_and_the_gentlest_is_first() -> None:
+    hits = next_hits(BOTH, limits(), 8)
     assert len(hits) == 8
     assert [hit.highest_n for hit in hits] == sorted(hit.highest_n for hit in hits)
     assert all(0.3 <= -hit.normal_m_s <= 1.5 for hit in hits)
@@ -73,27 +69,14 @@ def test_a_better_known_wall_is_hit_faster() -> None:
 
 def test_without_a_safe_speed_there_is_no_hit() -> None:
     assert fastest_m_s(fit(Mode.RIGID), limits(peak_n=20.0)) is None
-    for design in DESIGNS:
-        found = next_hits(BOTH, limits(peak_n=30.0), 4, design)
-        assert {hit.mode for hit in found} == {Mode.FLEXIBLE}
+    found = next_hits(BOTH, limits(peak_n=30.0), 4)
+    assert {hit.mode for hit in found} == {Mode.FLEXIBLE}
 
 
-def test_equal_steps_and_two_levels_use_the_whole_range() -> None:
+def test_the_speeds_are_equal_steps_through_the_whole_range() -> None:
     only = {Mode.FLEXIBLE: fit(Mode.FLEXIBLE, 0.05)}
     steps = [-hit.normal_m_s for hit in next_hits(only, limits(), 4)]
     assert steps == pytest.approx([0.3, 0.7, 1.1, 1.5])
-    levels = [-hit.normal_m_s for hit in next_hits(only, limits(), 4, Design.TWO_LEVELS)]
-    assert levels == pytest.approx([0.3, 0.3, 1.5, 1.5])
-
-
-def test_the_d_optimal_design_is_expected_to_determine_the_coefficients_best() -> None:
-    own = {Mode.FLEXIBLE: fit(Mode.FLEXIBLE, 0.3)}
-
-    def volume(design: Design) -> float:
-        hits = next_hits(own, limits(), 6, design)
-        return math.prod(expected_halves(own[Mode.FLEXIBLE], limits(), hits).values())
-
-    assert volume(Design.D_OPTIMAL) < min(volume(Design.EQUAL_STEPS), volume(Design.TWO_LEVELS))
 
 
 def test_more_hits_are_expected_to_narrow_the_intervals() -> None:

@@ -31,10 +31,13 @@ def with_walls(mission: Mission, **factors: float) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-def fly_against(mission: Mission, real: Mission, seed: int, path: Path) -> Path:
-    """Fly a mission against the walls of `real`; the returned log contains only the mission."""
+def fly_against(mission: Mission, real: Mission, seed: int, path: Path, world: World = World.FAST) -> Path:
+    """Fly a mission against the walls of `real`; the returned log contains only the mission.
+
+    `world` is the world that the log names.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    log = FlightLog(path, describe_flight(mission, World.FAST, seed))
+    log = FlightLog(path, describe_flight(mission, world, seed))
     FastFlight(mission, seed, observe=log.put, world=DrawnWorld(real, None, {})).run()
     log.close()
     return path

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 
+import msgspec
 import pytest
 import yaml
 
-from dart_flight.base.records import Mode, TruthContact
+from dart_flight.base.records import Mode, TruthContact, World
+from dart_flight.check.mission_check import check_materials
 from dart_flight.cli import main
+from dart_flight.config.material_history import HistoryEntry, HistoryFile, history_path
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 from dart_flight.lab.report.page import beyond, comparison_page, disagreements, flight_page
@@ -142,3 +146,27 @@ def test_identify_needs_a_surface_for_flights_against_two_walls(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "--surface" in error
+
+
+def test_check_warns_if_later_flights_contradict_the_applied_coefficients(tmp_path: Path) -> None:
+    config, today = tmp_path / "mine.yaml", datetime.now(UTC).date().isoformat()
+    config.write_text(Path(CONFIG).read_text(encoding="utf-8"), encoding="utf-8")
+    single = load_flyable(packaged("missions", "paper_single_wall.yaml"), str(config), [])
+    (mode,) = {c.mode for c in single.collisions}
+    entry = HistoryEntry(date=today, material="acrylic", mode=mode, hits=9, coefficients={}, software="")
+    history = msgspec.to_builtins(HistoryFile(1, (entry,)))
+    history_path(config).write_text(yaml.safe_dump(history), encoding="utf-8")
+    flights = tmp_path / "flights"
+
+    def warning() -> tuple[bool, str]:
+        (finding,) = check_materials(single, flights)
+        return finding.remark, finding.message
+
+    stiffer = with_walls(single, k=1.5)
+    fly_against(single, stiffer, 1, flights / "simulated" / "flight.mcap")
+    assert warning() == (False, f"acrylic: [paper] in flight, Sec. V-A; coefficients: {mode} 0 days old")
+    fly_against(single, stiffer, 1, flights / "vehicle" / "flight.mcap", World.DRONE)
+    remark, message = warning()
+    assert remark
+    assert f"the last 1 hit {mode} had 2" in message
+    assert "more force than these coefficients predict (limit 5 %)" in message
