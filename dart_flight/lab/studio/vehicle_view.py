@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import Mode
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.studio.canvas import GREEN, RED, Canvas, Node, Palette, polyline
-from dart_flight.lab.studio.room_view import cross, vehicle_nodes
-from dart_flight.lab.studio.scene_model import M_PER_N, VehicleShape
+from dart_flight.lab.studio.canvas import GREEN, RED, Canvas, Node, Palette, frame, polyline
+from dart_flight.lab.studio.room_view import M_PER_N, cross, vehicle_nodes
+from dart_flight.lab.studio.scene_model import Scene
 
 _LEAST_N = 2.0  # smaller forces are noise
 _ARMS: dict[str, Mode | None] = {"rigid": Mode.RIGID, "flexible": Mode.FLEXIBLE, "travelling": None}
@@ -24,8 +25,9 @@ class VehicleView:
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
 
-    def draw(self, vehicle: VehicleShape, unit_m: float, palette: Palette, path: Array | None = None) -> None:
-        """Draw the vehicle, in each state of its arms, and its path (n, 3); `unit_m` is a marker's radius."""
+    def draw(self, scene: Scene, palette: Palette, path: Array | None = None) -> None:
+        """Draw the vehicle in each state of its arms, and its path (n, 3)."""
+        unit_m = 0.012 * scene.size_m
         nodes = [] if path is None else [polyline("/player/path", path, palette.ink, 1.5)]
         force = {
             "points": np.zeros((1, 2, 3), dtype=np.float32),
@@ -36,21 +38,26 @@ class VehicleView:
             "visible": False,
         }
         nodes += [
-            Node("frame", _BODY, {"show_axes": False}),
-            Node("frame", _SETPOINT, {"show_axes": False, "visible": False}),
+            frame(_BODY),
+            frame(_SETPOINT, visible=False),
             cross(f"{_SETPOINT}/cross", (0.0, 0.0, 0.0), unit_m, GREEN),
             Node("arrows", _FORCE, force),
         ]
         for name, mode in _ARMS.items():
-            nodes.append(Node("frame", f"{_BODY}/{name}", {"show_axes": False}))
-            nodes += vehicle_nodes(f"{_BODY}/{name}", vehicle, mode, palette.ink, palette.grey)
+            nodes.append(frame(f"{_BODY}/{name}"))
+            nodes += vehicle_nodes(f"{_BODY}/{name}", scene.airframe, mode, palette.ink, palette.grey)
         self._canvas.draw(_GROUP, nodes)
 
     def remove(self) -> None:
         self._canvas.draw(_GROUP, [])
 
     def place(
-        self, position: Array, quaternion: Array, arms: str, force: Vec2, setpoint: Vec3 | None = None
+        self,
+        position: Array,
+        quaternion: Sequence[float] | Array,
+        arms: str,
+        force: Vec2,
+        setpoint: Vec3 | None = None,
     ) -> None:
         """Show the vehicle at a pose, its arms in a state of the lock, the force on it, and its setpoint."""
         body = self._canvas.handle(_GROUP, _BODY)
