@@ -117,7 +117,9 @@ def _fields(
         for part, options in (("wall", walls), ("mode", modes)):
             if options:
                 yield _choice((*key, part), entry, options)
-    for number in _NUMBERS[kind]:
+    for i, number in enumerate(_NUMBERS[kind]):
+        if i == 2 and "normal" in entry:
+            yield from _direction(object_id, entry["normal"])
         inside, last = _inside(entry, number.path), number.path[-1]
         if isinstance(inside, dict):
             value = inside.get(last, number.default)
@@ -132,8 +134,6 @@ def _fields(
             step=number.step,
             hint=number.hint,
         )
-    if "normal" in entry:
-        yield from _direction(object_id, entry["normal"])
     if "material" in entry:
         yield _choice((*key, "material"), entry, materials)
 

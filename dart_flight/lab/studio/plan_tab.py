@@ -103,8 +103,9 @@ class PlanTab:
         shown = bool(self._rows)
         self._choice.visible = self._table.visible = self._make.visible = shown
         if shown:
-            self._choice.options = distinct(map(_label, self._rows))
-            self._choice.value = self._choice.options[0]
+            labels = self._choice.options = distinct(map(_label, self._rows))
+            best = next((i for i, row in enumerate(self._rows) if row.rank and not row.problem), 0)
+            self._choice.value = labels[best]
             self._describe()
 
     # --- a plan ---------------------------------------------------------------------------------------------
@@ -155,7 +156,7 @@ def _label(row: PlanRow) -> str:
     time = "" if row.time_s is None else f": {row.time_s:.2f} s"
     saves = row.saving_s or 0.0
     saving = f", {'saves' if saves > 0.0 else 'loses'} {abs(saves):.2f} s" if saves else ""
-    return f"{name}{time}{saving}"
+    return f"{name}{time}{saving}{', no-go' if row.problem else ''}"
 
 
 def _free_name(scenario: Path) -> Path:

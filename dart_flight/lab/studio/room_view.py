@@ -120,7 +120,7 @@ class RoomView:
         if self._scene is None:
             return
         tall, share = _height_of_view(self._scene, aspect)
-        (x0, x1), (y0, y1) = self._scene.bounds.x, self._scene.bounds.y
+        (x0, y0), (x1, y1) = self._scene.extent()
         x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1) - 0.5 * (1.0 - share) * tall
         far = 0.5 * tall / math.tan(0.5 * _FOV_RAD)
         camera.fov, camera.near, camera.far = _FOV_RAD, 0.02 * far, 4.0 * far
@@ -214,7 +214,7 @@ def _height_of_view(scene: Scene, aspect: float) -> tuple[float, float]:
 
     On a phone (upright), the panel covers the lower part of the view.
     """
-    (x0, x1), (y0, y1) = scene.bounds.x, scene.bounds.y
+    (x0, y0), (x1, y1) = scene.extent()
     share = _FREE_SHARE if aspect < _UPRIGHT else 1.0
     return _MARGIN * max((y1 - y0) / share, 0.95 * (x1 - x0) / max(aspect, 0.2)), share
 
@@ -238,7 +238,7 @@ class _Painter:
     ) -> None:
         self._scene, self._palette, self._selected = scene, palette, selected
         self._problems, self._m_per_px = problems, m_per_px
-        self._height_m = scene.bounds.z[1]
+        self._height_m, self._right = scene.bounds.z[1], scene.extent()[1][0]
         self.unit_m, self.top = 0.012 * scene.size_m, self._height_m + 0.02
         self.grips: dict[str, str] = {}
         self._nodes: list[Node] = []
@@ -391,7 +391,7 @@ class _Painter:
         lines, (x, y, z) = text.split("\n"), at
         wide = max(map(len, lines)) * _CHARACTER_PX * self._m_per_px
         high = len(lines) * _LINE_PX * self._m_per_px
-        if x + wide > self._scene.bounds.x[1] + 0.06 * self._scene.size_m:
+        if x + wide > self._right + 0.06 * self._scene.size_m:
             x -= wide + 2.6 * self.unit_m
         step = 0.25 * _LINE_PX * self._m_per_px
         for i in range(_MOST_SHIFTS):

@@ -112,6 +112,13 @@ class Scene(msgspec.Struct):
         (x0, x1), (y0, y1) = self.bounds.x, self.bounds.y
         return max(x1 - x0, y1 - y0)
 
+    def extent(self) -> tuple[Vec2, Vec2]:
+        """Return the low and high corner of the bounds with all walls."""
+        corners = np.array([self.bounds.x, self.bounds.y]).T
+        points = np.vstack([corners, *(wall.drawn.outline for wall in self.walls)])
+        (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        return (x0, y0), (x1, y1)
+
 
 class LoadedFile(NamedTuple):
     """A text as the commands load it, as far as it loads.
