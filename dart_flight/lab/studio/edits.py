@@ -25,7 +25,13 @@ _SEARCH = {  # approaches of a scenario made from a mission
 }
 _POINTS = {"wall": "point_m", "simulated": "point_m", "post": "centre_m"}
 _GAINS = ("alpha_m_per_n", "alpha_wall_m_per_n")
-_CONDITIONS = ("if_met", "if_not_met")
+_NAMING = (
+    "wall",
+    "if_met",
+    "if_not_met",
+    "sequence",
+    *_GAINS,
+)  # keys that name walls
 # Keys of a mission's room that a scenario shares.
 _SHARED = [
     "version",
@@ -152,36 +158,25 @@ def rename(object_id: str, name: str) -> Edit:
     """Rename a wall or post, and every mention of it in hits, waypoints, sequence and gains."""
     kind, _, before = object_id.partition("/")
 
+    def renamed(value: Any, key: str = "") -> Any:
+        if isinstance(value, dict):
+            return {renamed(k, key): renamed(v, k) for k, v in value.items()}
+        if isinstance(value, list):
+            return [renamed(v, key) for v in value]
+        named = key in _NAMING and isinstance(value, str) and base_name(value) == before
+        return name + value[len(before) :] if named else value
+
     def change(tree: Tree) -> None:
         existing_entry(tree, object_id)
         if not name or name in _names(tree):
             raise InputError(f"a wall or post already has the name {name}" if name else "a name is needed")
         section = SECTIONS[kind]
         tree[section] = {(name if key == before else key): value for key, value in tree[section].items()}
-        for holder, key in list(_mentions(tree)):
-            if base_name(str(holder[key])) == before:
-                holder[key] = name + str(holder[key])[len(before) :]
-        for gains in _GAINS:
-            if gains in tree:
-                tree[gains] = {
-                    (name + key[len(before) :] if base_name(key) == before else key): value
-                    for key, value in tree[gains].items()
-                }
+        for key in ("collisions", "waypoints", "sequence", *_GAINS):
+            if key in tree:
+                tree[key] = renamed(tree[key], key)
 
     return Edit(f"rename {describe(object_id)} to {name}", change)
-
-
-def _mentions(tree: Tree) -> Iterator[tuple[Any, Any]]:
-    """Yield each place, as container and key, that names a wall or post, except the gains of a scenario."""
-    for hit in _list_of(tree, "collisions"):
-        yield from ((hit, key) for key in ("wall", *_CONDITIONS) if key in hit)
-    for waypoint in _list_of(tree, "waypoints"):
-        yield from ((waypoint, key) for key in _CONDITIONS if key in waypoint)
-        if isinstance(waypoint.get("at_wall"), dict):
-            yield waypoint["at_wall"], "wall"
-    sequence = tree.get("sequence")
-    if isinstance(sequence, list):
-        yield from ((sequence, i) for i in range(len(sequence)))
 
 
 def _list_of(tree: Tree, section: str) -> list[Any]:

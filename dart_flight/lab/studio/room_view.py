@@ -1,11 +1,11 @@
-"""The view of the room: draws a `Scene`, and reports what the mouse selects, moves and turns."""
+"""The view of the room: draws a `Scene` and a flight, and reports what the mouse selects, moves and turns."""
 
 from __future__ import annotations
 
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,6 +54,9 @@ _VIEW_PX = 1000  # height of the view that the labels of a page without a camera
 _MOST_SHIFTS = 30
 _LABEL_CHARACTERS, _LABEL_LINES = 40, 3  # of a finding beside its object
 _SLOP_M, _SLOP_RAD = 5e-4, 1e-3  # smaller drags change nothing
+_LEAST_N = 2.0  # smaller forces are noise
+_ARMS: dict[str, Mode | None] = {"rigid": Mode.RIGID, "flexible": Mode.FLEXIBLE, "travelling": None}
+_GROUP, _BODY, _FORCE, _SETPOINT = "player", "/player/vehicle", "/player/force", "/player/setpoint"
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
@@ -427,3 +430,60 @@ def vehicle_nodes(root: str, airframe: Airframe, mode: Mode | None, ink: Rgb, gr
         segments(f"{root}/arms", arms, grey if mode is None else ink, 4.0 if mode is Mode.RIGID else 1.2),
         polyline(f"{root}/nose", nose, RED, 2.0),
     ]
+
+
+class VehicleView:
+    """The vehicle of one flight."""
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+
+    def draw(self, scene: Scene, palette: Palette, path: Array | None = None) -> None:
+        """Draw the vehicle in each state of its arms, and its path (n, 3)."""
+        unit_m = 0.012 * scene.size_m
+        nodes = [] if path is None else [polyline("/player/path", path, palette.ink, 1.5)]
+        force = {
+            "points": np.zeros((1, 2, 3), dtype=np.float32),
+            "colors": RED,
+            "shaft_radius": 0.25 * unit_m,
+            "head_radius": 0.8 * unit_m,
+            "head_length": 2.0 * unit_m,
+            "visible": False,
+        }
+        nodes += [
+            frame(_BODY),
+            frame(_SETPOINT, visible=False),
+            cross(f"{_SETPOINT}/cross", (0.0, 0.0, 0.0), unit_m, GREEN),
+            Node("arrows", _FORCE, force),
+        ]
+        for name, mode in _ARMS.items():
+            nodes.append(frame(f"{_BODY}/{name}"))
+            nodes += vehicle_nodes(f"{_BODY}/{name}", scene.airframe, mode, palette.ink, palette.grey)
+        self._canvas.draw(_GROUP, nodes)
+
+    def remove(self) -> None:
+        self._canvas.draw(_GROUP, [])
+
+    def place(
+        self,
+        position: Array,
+        quaternion: Sequence[float] | Array,
+        arms: str,
+        force: Vec2,
+        setpoint: Vec3 | None = None,
+    ) -> None:
+        """Show the vehicle at a pose, its arms in a state of the lock, the force on it, and its setpoint."""
+        body = self._canvas.handle(_GROUP, _BODY)
+        body.position, body.wxyz = tuple(position), tuple(quaternion)
+        shown = arms if arms in _ARMS else "travelling"
+        for name in _ARMS:
+            self._canvas.handle(_GROUP, f"{_BODY}/{name}").visible = name == shown
+        arrow = self._canvas.handle(_GROUP, _FORCE)
+        arrow.visible = math.hypot(*force) > _LEAST_N
+        if arrow.visible:
+            tip = position + M_PER_N * np.array([*force, 0.0])
+            arrow.points = np.array([[position, tip]], dtype=np.float32)
+        target = self._canvas.handle(_GROUP, _SETPOINT)
+        target.visible = setpoint is not None
+        if setpoint is not None:
+            target.position = setpoint

@@ -13,9 +13,8 @@ from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.studio.canvas import LIGHT, Canvas, label
 from dart_flight.lab.studio.page_server import LOCAL, open_server, stop_server
 from dart_flight.lab.studio.playback import playback_of, value_at
-from dart_flight.lab.studio.room_view import RoomView
+from dart_flight.lab.studio.room_view import RoomView, VehicleView
 from dart_flight.lab.studio.scene_model import Scene, scene_of_mission
-from dart_flight.lab.studio.vehicle_view import VehicleView
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.reader import Log
 

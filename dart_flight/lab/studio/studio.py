@@ -51,7 +51,7 @@ class Studio:
         self._logs = [] if isinstance(opened, OpenFile) else opened
         file = opened if isinstance(opened, OpenFile) else None
         self.page = StudioPage(self.server, file, log_dir, read_only=read_only)
-        self.page.on_event, self.page.draw, self.page.refresh = self._handle, self._draw, self._refresh
+        self.page.on_event, self.page.draw, self.page.refresh = self._handle, self._show, self._refresh
         self.checked: Checked | None = None
         self._shown_file: OpenFile | None = None
         self._number = 0  # of the last request to check
@@ -158,8 +158,14 @@ class Studio:
                 # Until the check is done, the page keeps the prediction.
                 scene.paths, scene.hits, scene.predicted = last.paths, last.hits, True
             page.scene = scene
-        self._draw()
+        self._show()
         self._show_head()
+
+    def _show(self) -> None:
+        """Draw the room, and show the selected object."""
+        if self.tab is not None and self.page.scene is not None:
+            self.tab.show(self.page.scene.bounds)
+        self._draw()
 
     def _draw(self) -> None:
         scene = self.page.scene
@@ -169,8 +175,6 @@ class Studio:
         for finding in () if self.checked is None else self.checked.findings:
             if not finding.go and finding.objects:
                 problems.setdefault(finding.objects[0], self.page.short(finding.message))
-        if self.tab is not None:
-            self.tab.show(scene.bounds)
         self._room.show(scene, self.page.palette, problems, "" if self.tab is None else self.tab.selected)
 
     def _dragged(self, object_id: str, *moved: object) -> None:
