@@ -30,12 +30,14 @@ _FACES = np.array(
 class FlyTab:
     """The controls, in the present container of the page.
 
-    Args:
-        play: plays the flight of a log.
+    Attributes:
+        landed: the flights so far; after the last, the failed ones first.
+        play: plays the flight of a log; the studio sets it.
     """
 
-    def __init__(self, page: StudioPage, play: Callable[[Path], None]) -> None:
-        self._page, self._play = page, play
+    def __init__(self, page: StudioPage) -> None:
+        self._page = page
+        self.play: Callable[[Path], None] = lambda log: None
         self._number = self._again = 0  # of the request, and of that for one flight again, with a log
         self._flown: tuple[str, Path, FlyRequest] | None = None  # text, file and request of the flights
         self.landed: list[FlownOne] = []
@@ -160,7 +162,7 @@ class FlyTab:
             if landed is flight:
                 self._choice.value = label
         if flight.log is not None:
-            self._play(Path(flight.log))
+            self.play(Path(flight.log))
         elif self._flown is not None and self._page.engine is not None:
             text, path, request = self._flown
             self._page.note(f"flying seed {flight.seed} again, with a log")

@@ -46,6 +46,7 @@ M_PER_N = 0.003  # length of a force's arrow
 _M_PER_M_S = 0.3  # length of a velocity's arrow
 _FOV_RAD = math.radians(1.0)  # viser has no parallel projection
 _UPRIGHT, _FREE_SHARE = 0.65, 0.4  # aspect of a view whose lower part is covered; share that is free
+_BESIDE = 0.1  # width beside the room that labels may use, over the size of the room
 _MARGIN = 1.3  # size of the view over that of the room
 _MOST_LINES = 14  # of the grid along one axis
 _KNOB_M = 0.3  # distance of the knob that turns a wall from its surface
@@ -394,8 +395,9 @@ class _Painter:
         lines, (x, y, z) = text.split("\n"), at
         wide = max(map(len, lines)) * _CHARACTER_PX * self._m_per_px
         high = len(lines) * _LINE_PX * self._m_per_px
-        if x + wide > self._right + 0.06 * self._scene.size_m:
-            x -= wide + 2.6 * self.unit_m
+        beyond = x + wide - self._right - _BESIDE * self._scene.size_m
+        if beyond > 0.0:  # the name of a wall moves inside, other labels to the left of their object
+            x -= beyond if object_id.startswith(("wall/", "simulated/")) else wide + 2.6 * self.unit_m
         step = 0.25 * _LINE_PX * self._m_per_px
         for i in range(_MOST_SHIFTS):
             low = y + (1 if i % 2 else -1) * ((i + 1) // 2) * step

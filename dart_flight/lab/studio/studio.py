@@ -94,8 +94,9 @@ class Studio:
             with tabs.add_tab("Plan"):
                 self._plan = PlanTab(page)
         with tabs.add_tab("Fly" if page.file is not None else "Flights"):
+            self.flights = FlyTab(page)
             self.player = Player(page, reports)
-            self.flights = FlyTab(page, self.player.play)
+            self.flights.play = self.player.play
         with tabs.add_tab("View"):
             page.button("From above", self._room.look_from_above, color="gray")
             self._dark = gui.add_checkbox("dark", dark)
