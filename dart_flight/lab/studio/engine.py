@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from dart_flight.base.geometry import Vec3
 from dart_flight.base.processes import ChildProcess
 from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.studio.scene_model import Scene
@@ -121,7 +120,6 @@ class FlownOne(msgspec.Struct):
         outcome: completed, aborted or released.
         reason: why it did not complete, or None.
         path: true path, (n, 3).
-        hits: places of the hits.
         log: the flight's log, or None without one.
     """
 
@@ -129,7 +127,6 @@ class FlownOne(msgspec.Struct):
     outcome: str
     reason: str | None
     path: Array
-    hits: list[Vec3] = []
     log: str | None = None
 
 

@@ -59,8 +59,7 @@ Report = Callable[[Progress], None]
 _TOP = 10  # plans that are shown
 _PROGRESS_S = 0.2  # interval of progress events
 _OFF_WALL_M, _MOVED_M = 0.03, 0.05  # distances of a planned impact, from its wall and from the predicted one
-_PATH_STEP_US = 100_000  # interval of the points of a flight's line
-_IN_THE_AIR_M = 0.1
+_PATH_STEP_US = 50_000  # interval of the points of a flight's line
 
 
 # --- checks ---------------------------------------------------------------------------------------------
@@ -234,31 +233,17 @@ def fly_one(
     mission: Mission, spreads: Mapping[str, float], fault: Fault | None, log_dir: Path | None, seed: int
 ) -> FlownOne:
     """Fly one seed in this process, and return the outcome with the true path."""
-    line = _TruePath()
-    verdict: Verdict = fly_fast(mission, seed, log_dir, line, fault=fault, spreads=spreads)
+    points, next_us = list[Vec3](), 0
+
+    def follow(record: Record) -> None:
+        nonlocal next_us
+        if isinstance(record, TruthSample) and record.t_us >= next_us:
+            next_us = record.t_us + _PATH_STEP_US
+            points.append(record.position_mission)
+
+    verdict: Verdict = fly_fast(mission, seed, log_dir, follow, fault=fault, spreads=spreads)
     reason = "; ".join(verdict.uncontrolled) or verdict.reason
-    points = np.array(line.points).reshape(-1, 3)
-    return FlownOne(seed, verdict.outcome.value, reason, points, line.hits, verdict.log)
-
-
-class _TruePath:
-    """The true path of a flight, thinned, and the places where its contacts begin."""
-
-    def __init__(self) -> None:
-        self.points, self.hits = list[Vec3](), list[Vec3]()
-        self._next_us, self._touches = 0, False
-
-    def __call__(self, record: Record) -> None:
-        if not isinstance(record, TruthSample):
-            return
-        touches = record.position_mission[2] > _IN_THE_AIR_M and any(record.contact_force_mission[:2])
-        begins = touches and not self._touches
-        self._touches = touches
-        if begins:
-            self.hits.append(record.position_mission)
-        if begins or record.t_us >= self._next_us:
-            self._next_us = record.t_us + _PATH_STEP_US
-            self.points.append(record.position_mission)
+    return FlownOne(seed, verdict.outcome.value, reason, np.array(points).reshape(-1, 3), verdict.log)
 
 
 # --- the process ----------------------------------------------------------------------------------------

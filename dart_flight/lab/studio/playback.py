@@ -151,9 +151,8 @@ def flown_from(log: Path) -> FlownOne:
     flight = RecordedFlight.read(log)
     motion = flight.course.true if flight.course.true.time_s.size else flight.course.estimated
     path = motion.position[:: max(1, len(motion.position) // _MOST_POINTS)]
-    hits = [impact.verdict.onset.position_mission for impact in flight.impacts]
-    seed, verdict = flight.log.seed or 0, flight.verdict
-    return FlownOne(seed, verdict.outcome.value, verdict.reason, path, hits, str(log))
+    verdict = flight.verdict
+    return FlownOne(flight.log.seed or 0, verdict.outcome.value, verdict.reason, path, str(log))
 
 
 def _scaled(values: list[Any], scale: float) -> Array:

@@ -191,7 +191,6 @@ def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> Non
     verdict = fly_fast(load_mission(DUAL), 3, None)
     assert isinstance(end, Flown)
     assert (one.seed, one.outcome, one.reason) == (3, verdict.outcome.value, verdict.reason)
-    assert len(one.hits) == len(verdict.collisions) == 2
     assert one.path.shape[1] == 3
     assert one.log is not None
     assert read_log(Path(one.log)).complete
