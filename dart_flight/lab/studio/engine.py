@@ -138,7 +138,7 @@ class Progress(msgspec.Struct):
     landed: list[FlownOne] = []
 
 
-class Flown(NamedTuple):
+class AllFlown(NamedTuple):
     """All flights have landed."""
 
 
@@ -149,14 +149,14 @@ class Failed(NamedTuple):
     cancelled: bool = False
 
 
-class Event(NamedTuple):
+class EngineEvent(NamedTuple):
     """What has become of the request of that number."""
 
     number: int
-    what: Checked | Progress | Planned | Flown | Failed
+    what: Checked | Progress | Planned | AllFlown | Failed
 
 
-class Request(NamedTuple):
+class EngineRequest(NamedTuple):
     """A text to work on, whose file is `path`; `task` is the name of a function of `engine_work`."""
 
     number: int
@@ -166,7 +166,7 @@ class Request(NamedTuple):
     options: tuple[Any, ...] = ()
 
 
-def to_line(value: Event | Request) -> bytes:
+def to_line(value: EngineEvent | EngineRequest) -> bytes:
     return base64.b64encode(pickle.dumps(value))
 
 
@@ -182,7 +182,7 @@ class Engine:
         log_dir: folder for logs of flights.
     """
 
-    def __init__(self, on_event: Callable[[Event], None], log_dir: Path) -> None:
+    def __init__(self, on_event: Callable[[EngineEvent], None], log_dir: Path) -> None:
         self._log_dir = str(log_dir.absolute())
         self._numbers = itertools.count(1)
         self._checker = _Worker("the process that checks", on_event)
@@ -190,19 +190,19 @@ class Engine:
 
     def check(self, text: str, path: Path) -> int:
         """Check a text; return the number of the request. A newer request replaces one that waits."""
-        return self._checker.send(Request(next(self._numbers), "check", text, str(path)))
+        return self._checker.send(EngineRequest(next(self._numbers), "check", text, str(path)))
 
     def plan(self, text: str, path: Path, objective: str | None = None, within_s: float = 60.0) -> int:
         """Plan a scenario's text. A plan or flights in progress are cancelled first."""
         self.cancel()
         options = (objective, within_s)
-        return self._worker.send(Request(next(self._numbers), "plan", text, str(path), options))
+        return self._worker.send(EngineRequest(next(self._numbers), "plan", text, str(path), options))
 
     def fly(self, text: str, path: Path, wanted: FlyRequest) -> int:
         """Fly a mission's text in the fast world. A plan or flights in progress are cancelled first."""
         self.cancel()
         options = (wanted, self._log_dir)
-        return self._worker.send(Request(next(self._numbers), "fly", text, str(path), options))
+        return self._worker.send(EngineRequest(next(self._numbers), "fly", text, str(path), options))
 
     def cancel(self) -> None:
         """Cancel the plan or the flights in progress, if any: `Failed` follows at once."""
@@ -221,16 +221,16 @@ class _Worker:
         name: the process, in messages.
     """
 
-    def __init__(self, name: str, on_event: Callable[[Event], None]) -> None:
+    def __init__(self, name: str, on_event: Callable[[EngineEvent], None]) -> None:
         self._name, self._on_event = name, on_event
         self._lock = threading.RLock()
-        self._open: Request | None = None  # the request in progress
-        self._waiting: Request | None = None
+        self._open: EngineRequest | None = None  # the request in progress
+        self._waiting: EngineRequest | None = None
         self._process: ChildProcess | None = None
         self._starts, self._ready = 0, False
         self._start()
 
-    def send(self, request: Request) -> int:
+    def send(self, request: EngineRequest) -> int:
         with self._lock:
             if self._process is None:
                 self._start()
@@ -246,7 +246,7 @@ class _Worker:
                 self._end_process()
                 self._start()
         if request is not None:
-            self._on_event(Event(request.number, Failed("cancelled", cancelled=True)))
+            self._on_event(EngineEvent(request.number, Failed("cancelled", cancelled=True)))
 
     def close(self) -> None:
         with self._lock:
@@ -283,7 +283,7 @@ class _Worker:
                 self._send_next()
         self._on_event(event)
 
-    def _restarted(self) -> Event:
+    def _restarted(self) -> EngineEvent:
         """Start the process again if it has been ready, and return what has become of its request."""
         again, number = self._ready, 0 if self._open is None else self._open.number
         self._end_process()
@@ -291,4 +291,4 @@ class _Worker:
         if again:
             self._start()
         then = "it was started again" if again else "the next request starts it"
-        return Event(number, Failed(f"{self._name} ended unexpectedly; {then}"))
+        return EngineEvent(number, Failed(f"{self._name} ended unexpectedly; {then}"))

@@ -30,17 +30,17 @@ from dart_flight.lab.search.scenario import Objective, Scenario, parse_scenario
 from dart_flight.lab.search.search import ADVICE, search
 from dart_flight.lab.studio.engine import (
     READY,
+    AllFlown,
     Checked,
-    Event,
+    EngineEvent,
+    EngineRequest,
     Failed,
     Finding,
-    Flown,
     FlownOne,
     FlyRequest,
     Planned,
     PlanRow,
     Progress,
-    Request,
     from_line,
     to_line,
 )
@@ -194,7 +194,7 @@ def _predicted_lines(mission: Mission, planned: PredictedFlight | None) -> list[
 # --- flights --------------------------------------------------------------------------------------------
 
 
-def fly(text: str, path: str, report: Report, wanted: FlyRequest, log_dir: str) -> Flown:
+def fly(text: str, path: str, report: Report, wanted: FlyRequest, log_dir: str) -> AllFlown:
     """Fly a mission in the fast world: one flight here, several in worker processes."""
     mission = parse_mission(Document(text, path))
     refuse_unflyable(mission)
@@ -219,7 +219,7 @@ def fly(text: str, path: str, report: Report, wanted: FlyRequest, log_dir: str) 
                 last_s = time.monotonic()
                 report(Progress(done, len(seeds), landed))
                 landed.clear()
-    return Flown()
+    return AllFlown()
 
 
 def _landings(one: Callable[[int], FlownOne], seeds: range) -> Generator[FinishedItem[int, FlownOne]]:
@@ -259,18 +259,18 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
     emit(READY)
     for line in requests:
         if line.strip():
-            request: Request = from_line(line)
+            request: EngineRequest = from_line(line)
 
             def report(what: Any, number: int = request.number) -> None:
-                emit(to_line(Event(number, what)) + b"\n")
+                emit(to_line(EngineEvent(number, what)) + b"\n")
 
             report(answer(request, report))
 
 
-_TASKS: dict[str, Callable[..., Checked | Planned | Flown]] = {"check": check, "plan": plan, "fly": fly}
+_TASKS: dict[str, Callable[..., Checked | Planned | AllFlown]] = {"check": check, "plan": plan, "fly": fly}
 
 
-def answer(request: Request, report: Report) -> Checked | Planned | Flown | Failed:
+def answer(request: EngineRequest, report: Report) -> Checked | Planned | AllFlown | Failed:
     """Return the result of a request, or why there is none."""
     try:
         return _TASKS[request.task](request.text, request.path, report, *request.options)

@@ -34,7 +34,7 @@ def _or_none(value: float) -> float | None:
     return value or None
 
 
-class _Number(NamedTuple):
+class _NumberSpec(NamedTuple):
     """A number of an entry; it is shown if the dictionary or list that contains it exists."""
 
     path: tuple[str | int, ...]
@@ -45,41 +45,43 @@ class _Number(NamedTuple):
     written: Callable[[float], float | None] = float
 
 
-def _at(name: str) -> tuple[_Number, _Number]:
-    return _Number((name, 0), "x, m"), _Number((name, 1), "y, m")
+def _at(name: str) -> tuple[_NumberSpec, _NumberSpec]:
+    return _NumberSpec((name, 0), "x, m"), _NumberSpec((name, 1), "y, m")
 
 
 _WALL = (
     *_at("point_m"),
-    _Number(("length_m",), "length, m", 0.1),
-    _Number(
+    _NumberSpec(("length_m",), "length, m", 0.1),
+    _NumberSpec(
         ("position_sd_m",), "position ±, m", hint="standard deviation along the normal", written=_or_none
     ),
-    _Number(("yaw_sd_deg",), "direction ±, °", 0.5, 0.0, "standard deviation; 0: not given", _or_none),
+    _NumberSpec(("yaw_sd_deg",), "direction ±, °", 0.5, 0.0, "standard deviation; 0: not given", _or_none),
 )
 _NUMBERS = {
     "wall": _WALL,
     "simulated": _WALL,
-    "post": (*_at("centre_m"), _Number(("radius_m",), "radius, m")),
-    "start": (*_at("position_m"), _Number(("altitude_m",), "altitude, m", 0.1)),
+    "post": (*_at("centre_m"), _NumberSpec(("radius_m",), "radius, m")),
+    "start": (*_at("position_m"), _NumberSpec(("altitude_m",), "altitude, m", 0.1)),
     "goal": (
         *_at("position_m"),
-        _Number(("capture_radius_m",), "radius, m", 0.05, 0.15),
-        _Number(("hold_s",), "hold, s", 0.5, 2.0),
+        _NumberSpec(("capture_radius_m",), "radius, m", 0.05, 0.15),
+        _NumberSpec(("hold_s",), "hold, s", 0.5, 2.0),
     ),
     "waypoint": (
         *_at("position_m"),
-        _Number(("altitude_m",), "altitude, m", 0.1, 0.0, "0: the altitude does not change", _or_none),
-        _Number(("speed_m_s",), "speed, m/s", 0.1, 0.0, "0: the configuration's transit speed", _or_none),
-        _Number(("after",), "after hits", 1.0, written=int),
+        _NumberSpec(("altitude_m",), "altitude, m", 0.1, 0.0, "0: unchanged", _or_none),
+        _NumberSpec(("speed_m_s",), "speed, m/s", 0.1, 0.0, "0: the configuration's transit speed", _or_none),
+        _NumberSpec(("after",), "after hits", 1.0, written=int),
     ),
-    "visit": (*_at("position_m"), _Number(("within_m",), "within, m", 0.05)),
+    "visit": (*_at("position_m"), _NumberSpec(("within_m",), "within, m", 0.05)),
     "corner": tuple(
-        _Number((axis, i), f"{axis} {end}, m", 0.1) for axis in "xyz" for i, end in enumerate(("low", "high"))
+        _NumberSpec((axis, i), f"{axis} {end}, m", 0.1)
+        for axis in "xyz"
+        for i, end in enumerate(("low", "high"))
     ),
     "hit": (
-        _Number(("approach", "normal_m_s"), "normal, m/s", 0.05, -1.0, "negative is towards the wall"),
-        _Number(
+        _NumberSpec(("approach", "normal_m_s"), "normal, m/s", 0.05, -1.0, "negative is towards the wall"),
+        _NumberSpec(
             ("approach", "tangential_m_s"),
             "tangential, m/s",
             0.05,

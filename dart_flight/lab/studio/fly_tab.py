@@ -13,10 +13,10 @@ import numpy as np
 from dart_flight.base.summary import cause_of
 from dart_flight.config.document import InputError
 from dart_flight.lab.studio.canvas import BLUE, GREEN, RED, Node, segments
-from dart_flight.lab.studio.engine import Event, Failed, Flown, FlownOne, FlyRequest, Progress
+from dart_flight.lab.studio.engine import AllFlown, EngineEvent, Failed, FlownOne, FlyRequest, Progress
 from dart_flight.lab.studio.open_file import StudioKind
-from dart_flight.lab.studio.page import NO_GO, QUIET, StudioPage, block, distinct, line
 from dart_flight.lab.studio.playback import flown_from, outcome_line
+from dart_flight.lab.studio.studio_page import NO_GO, QUIET, StudioPage, block, distinct, line
 
 _COLOURS = {"completed": GREEN, "aborted": RED, "released": BLUE}
 _NOTHING, _ALL, _TYPED = "nothing", "all", "as typed"
@@ -85,7 +85,7 @@ class FlyTab:
         if self._page.engine is not None:
             self._page.engine.cancel()
 
-    def handle(self, event: Event) -> None:
+    def handle(self, event: EngineEvent) -> None:
         """Show an event of the engine."""
         what = event.what
         if event.number == self._again:
@@ -96,7 +96,7 @@ class FlyTab:
                 self._page.note(what.message, bad=not what.cancelled)
         elif event.number == self._number and isinstance(what, Progress):
             self._add(what)
-        elif event.number == self._number and isinstance(what, Failed | Flown):
+        elif event.number == self._number and isinstance(what, Failed | AllFlown):
             self._end(what if isinstance(what, Failed) else None)
 
     def _add(self, what: Progress) -> None:

@@ -12,9 +12,9 @@ from dart_flight.lab.map_model import MapKind
 from dart_flight.lab.search.scenario import Objective
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.canvas import LIGHT, path_style, polyline
-from dart_flight.lab.studio.engine import Event, Failed, Planned, PlanRow, Progress
+from dart_flight.lab.studio.engine import EngineEvent, Failed, Planned, PlanRow, Progress
 from dart_flight.lab.studio.open_file import OpenFile, StudioKind
-from dart_flight.lab.studio.page import GO, NO_GO, QUIET, StudioPage, block, details, distinct, line
+from dart_flight.lab.studio.studio_page import GO, NO_GO, QUIET, StudioPage, block, details, distinct, line
 
 _PLAIN = "as in the file"
 
@@ -76,7 +76,7 @@ class PlanTab:
         self._bar.value, self._progress.visible = 100.0 * share, True
         self._progress.content = block(*lines)
 
-    def handle(self, event: Event) -> bool:
+    def handle(self, event: EngineEvent) -> bool:
         """Show an event of the engine; return whether it belongs to a search."""
         what = event.what
         if event.number != self._number or not event.number:

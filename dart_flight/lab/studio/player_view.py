@@ -16,10 +16,10 @@ from dart_flight.lab.figure_style import ESTIMATED, PREDICTED, TRUE
 from dart_flight.lab.report.page import flight_page
 from dart_flight.lab.report.recorded_flight import RecordedFlight
 from dart_flight.lab.studio.canvas import LIGHT
-from dart_flight.lab.studio.page import GO, NO_GO, QUIET, StudioPage, block, line
 from dart_flight.lab.studio.playback import Chart, Playback, PlayedHit, playback_of, value_at
 from dart_flight.lab.studio.room_view import VehicleView
 from dart_flight.lab.studio.scene_model import Scene, scene_of_mission
+from dart_flight.lab.studio.studio_page import GO, NO_GO, QUIET, StudioPage, block, line
 from dart_flight.lab.studio.watching import WatchedFlight, growing_log
 
 _BEFORE_HIT_S = 0.3  # the jump to a hit ends so long before it

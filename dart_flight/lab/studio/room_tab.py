@@ -13,7 +13,7 @@ from dart_flight.lab.studio.engine import Checked, Finding
 from dart_flight.lab.studio.fields import Field, fields_of, object_ids
 from dart_flight.lab.studio.objects import describe, entry_of
 from dart_flight.lab.studio.open_file import Edit, StudioKind
-from dart_flight.lab.studio.page import NO_GO, QUIET, StudioPage, block, details, distinct, line
+from dart_flight.lab.studio.studio_page import NO_GO, QUIET, StudioPage, block, details, distinct, line
 
 _NEAR_M = 0.5  # a new object appears so far from the middle of the room
 

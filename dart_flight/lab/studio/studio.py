@@ -9,16 +9,16 @@ from pathlib import Path
 from dart_flight.config.document import InputError
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.canvas import DARK, LIGHT
-from dart_flight.lab.studio.engine import Checked, Event, Failed, Finding
+from dart_flight.lab.studio.engine import Checked, EngineEvent, Failed, Finding
 from dart_flight.lab.studio.fly_tab import FlyTab
 from dart_flight.lab.studio.open_file import DiskState, OpenFile
-from dart_flight.lab.studio.page import GO, NO_GO, QUIET, StudioPage, line
 from dart_flight.lab.studio.page_server import open_server, stop_server
 from dart_flight.lab.studio.plan_tab import PlanTab
 from dart_flight.lab.studio.player_view import Player
 from dart_flight.lab.studio.room_tab import RoomTab
 from dart_flight.lab.studio.room_view import RoomView
 from dart_flight.lab.studio.scene_model import build_scene
+from dart_flight.lab.studio.studio_page import GO, NO_GO, QUIET, StudioPage, line
 
 _FRAME_S, _IDLE_S, _DISK_S = 0.04, 0.25, 1.0
 _PANEL_PX = 340.0
@@ -255,7 +255,7 @@ class Studio:
 
     # --- the engine -----------------------------------------------------------------------------------------
 
-    def _handle(self, event: Event) -> None:
+    def _handle(self, event: EngineEvent) -> None:
         what = event.what
         if event.number == self._number and self._number:
             self._show_checked(what)

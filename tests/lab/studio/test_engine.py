@@ -21,16 +21,16 @@ from dart_flight.config.mission import Mission, load_mission, parse_mission
 from dart_flight.lab.search.scenario import parse_scenario
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.engine import (
+    AllFlown,
     Checked,
     Engine,
-    Event,
+    EngineEvent,
+    EngineRequest,
     Failed,
-    Flown,
     FlownOne,
     FlyRequest,
     Planned,
     Progress,
-    Request,
 )
 from dart_flight.lab.studio.engine_work import answer, check, plan
 from dart_flight.lab.studio.open_file import OpenFile, StudioKind
@@ -48,7 +48,7 @@ class Page:
     """An engine, and its events in order."""
 
     def __init__(self, folder: Path) -> None:
-        self.events: queue.Queue[Event] = queue.Queue()
+        self.events: queue.Queue[EngineEvent] = queue.Queue()
         self.engine = Engine(self.events.put, folder)
 
     def wait_for(self, kind: type[W], number: int) -> W:
@@ -166,7 +166,7 @@ def test_a_mission_whose_wall_has_moved_is_planned_again_with_its_other_keys() -
 
 def test_a_scenario_without_a_plan_says_why() -> None:
     text = ONE_WALL.read_text().replace("peak_force_n: 120.0", "peak_force_n: 1.0")
-    found = answer(Request(1, "plan", text, str(ONE_WALL), (None, 60.0)), ignore)
+    found = answer(EngineRequest(1, "plan", text, str(ONE_WALL), (None, 60.0)), ignore)
     assert isinstance(found, Failed)
     assert "peak" in found.message
 
@@ -178,18 +178,18 @@ def test_the_objective_of_the_page_replaces_the_scenario_s() -> None:
 
 def flown(
     text: str, request: FlyRequest, folder: Path, path: Path = DUAL
-) -> tuple[Flown | Failed, list[FlownOne]]:
+) -> tuple[AllFlown | Failed, list[FlownOne]]:
     landed: list[FlownOne] = []
-    options = (request, str(folder))
-    end = answer(Request(1, "fly", text, str(path), options), lambda progress: landed.extend(progress.landed))
-    assert isinstance(end, Flown | Failed)
+    wanted = EngineRequest(1, "fly", text, str(path), (request, str(folder)))
+    end = answer(wanted, lambda progress: landed.extend(progress.landed))
+    assert isinstance(end, AllFlown | Failed)
     return end, landed
 
 
 def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> None:
     end, (one,) = flown(DUAL.read_text(), FlyRequest(seed=3), tmp_path)
     verdict = fly_fast(load_mission(DUAL), 3, None)
-    assert isinstance(end, Flown)
+    assert isinstance(end, AllFlown)
     assert (one.seed, one.outcome, one.reason) == (3, verdict.outcome.value, verdict.reason)
     assert one.path.shape[1] == 3
     assert one.log is not None
@@ -232,7 +232,7 @@ def test_the_page_s_checks_come_from_a_process(page: Page) -> None:
 def test_many_flights_progress_in_worker_processes_and_are_cancelled(page: Page) -> None:
     text = SQUARE.read_text()
     number = page.engine.fly(text, SQUARE, FlyRequest(flights=2, vary=("all",), log=False))
-    assert page.wait_for(Flown, number) == Flown()
+    assert page.wait_for(AllFlown, number) == AllFlown()
     number = page.engine.fly(text, SQUARE, FlyRequest(flights=1000, log=False))
     page.wait_for(Progress, number)
     page.engine.cancel()

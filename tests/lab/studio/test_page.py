@@ -20,9 +20,9 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="the tests of the p
 
 from dart_flight.config.vehicle import packaged  # noqa: E402
 from dart_flight.lab.studio.open_file import OpenFile  # noqa: E402
-from dart_flight.lab.studio.page import distinct  # noqa: E402
 from dart_flight.lab.studio.scene_model import WallShape  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
+from dart_flight.lab.studio.studio_page import distinct  # noqa: E402
 
 LAUNCH = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 WAIT_MS = 20_000

@@ -17,7 +17,7 @@ from dart_flight.config.mission import Mission, load_mission
 from dart_flight.lab.map_model import MapKind, room_map
 from dart_flight.lab.mission_map import mission_map
 from dart_flight.lab.studio import edits
-from dart_flight.lab.studio.engine import Checked, Event, from_line, to_line
+from dart_flight.lab.studio.engine import Checked, EngineEvent, from_line, to_line
 from dart_flight.lab.studio.objects import entry_of, key_of, object_of, objects_in_finding
 from dart_flight.lab.studio.open_file import OpenFile
 from dart_flight.lab.studio.scene_model import (
@@ -101,7 +101,7 @@ def test_a_scene_survives_any_edits_and_its_way_between_processes(data: st.DataO
     for _ in range(data.draw(st.integers(1, 4))):
         try_edit(opened, data.draw(one_edit(opened)))
     scene = build_scene(opened.text, opened.path)
-    event = from_line(to_line(Event(1, Checked(scene=scene))))
+    event = from_line(to_line(EngineEvent(1, Checked(scene=scene))))
     assert event.what.scene.walls == scene.walls
     names = [handle.id for handle in scene.handles]
     assert len(set(names)) == len(names)

@@ -18,7 +18,7 @@ import viser
 from dart_flight.base.errors import FlightError
 from dart_flight.config.document import InputError
 from dart_flight.lab.studio.canvas import LIGHT, Canvas, Palette
-from dart_flight.lab.studio.engine import Engine, Event
+from dart_flight.lab.studio.engine import Engine, EngineEvent
 from dart_flight.lab.studio.open_file import Edit, OpenFile
 from dart_flight.lab.studio.scene_model import Scene
 
@@ -52,7 +52,7 @@ class StudioPage:
         self._background = ThreadPoolExecutor(1)
         self.server, self.gui, self.canvas = server, server.gui, Canvas(server)
         self.file, self.log_dir, self.read_only = file, log_dir, read_only
-        self.on_event: Callable[[Event], None] = lambda event: None
+        self.on_event: Callable[[EngineEvent], None] = lambda event: None
         self.engine = None if file is None else Engine(lambda event: self.post(self.on_event, event), log_dir)
         self.scene: Scene | None = None
         self.palette: Palette = LIGHT
