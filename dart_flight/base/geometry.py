@@ -345,3 +345,15 @@ class RoomFrame:
         q_body_to_room = quaternion_multiply(q_frd_to_room, quaternion_conjugate(self._frd_to_body))
         centre = rotate_back(self._room_to_ned, position_ned)
         return subtract(centre, rotate(q_body_to_room, self._offset)), q_body_to_room
+
+
+def attitude_in(frame: MissionFrame, q_frd_to_ned: Quaternion) -> Quaternion:
+    """Return the attitude for viewers: the rotation from the vehicle frame to the mission frame.
+
+    The vehicle frame is forward, left, up. A half turn about x converts FRD to this frame, and another half
+    turn converts NED to a frame with z up. The heading is a rotation about z.
+    """
+    half = 0.5 * frame.heading_rad
+    flip = (0.0, 1.0, 0.0, 0.0)
+    turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
+    return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)

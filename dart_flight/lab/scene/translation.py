@@ -26,8 +26,8 @@ from dart_flight.base.geometry import (
     IDENTITY,
     MissionFrame,
     Vec3,
+    attitude_in,
     norm,
-    quaternion_multiply,
     subtract,
     tilt_of,
 )
@@ -377,18 +377,6 @@ def _log(t_us: int, event: Event) -> Message:
         timestamp=drawing.timestamp(t_us), level=_LEVELS[event.level], message=event.text, name=event.source
     )
     return Message(LOG, t_us, line)
-
-
-def attitude_in(frame: MissionFrame, q_frd_to_ned: Rotation) -> Rotation:
-    """Return the attitude for viewers: the rotation from the vehicle frame to the mission frame.
-
-    The vehicle frame is forward, left, up. A half turn about x converts FRD to this frame, and another half
-    turn converts NED to a frame with z up. The heading is a rotation about z.
-    """
-    half = 0.5 * frame.heading_rad
-    flip = (0.0, 1.0, 0.0, 0.0)
-    turn = quaternion_multiply((math.cos(half), 0.0, 0.0, math.sin(half)), flip)
-    return quaternion_multiply(quaternion_multiply(turn, q_frd_to_ned), flip)
 
 
 def locked_fraction(servo: Servo, horn_pulse_us: float) -> float:

@@ -10,10 +10,10 @@ from urllib.parse import quote
 import numpy as np
 import viser
 
-from dart_flight.base.geometry import Vec2, Vec3
+from dart_flight.base.geometry import Vec3
 from dart_flight.lab.figure_style import ESTIMATED, FORCE, GUARD, PREDICTED, REPLANNED, SET_POINT
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.map_model import MapKind
+from dart_flight.lab.map_model import MapKind, at_altitude
 
 Rgb = tuple[int, int, int]
 
@@ -25,11 +25,10 @@ class Palette(NamedTuple):
     grey: Rgb
     grid: Rgb
     solid: Rgb
-    body: Rgb
 
 
-LIGHT = Palette((0, 0, 0), (102, 102, 102), (228, 228, 228), (205, 205, 205), (255, 255, 255))
-DARK = Palette((240, 240, 240), (150, 150, 150), (72, 72, 72), (110, 110, 110), (60, 60, 60))
+LIGHT = Palette((0, 0, 0), (102, 102, 102), (228, 228, 228), (205, 205, 205))
+DARK = Palette((240, 240, 240), (150, 150, 150), (72, 72, 72), (110, 110, 110))
 
 
 def rgb(colour: str) -> Rgb:
@@ -45,13 +44,9 @@ def path_style(kind: MapKind, palette: Palette) -> tuple[Rgb, float]:
     """Return colour and thickness in pixels of a path."""
     styles: dict[MapKind, tuple[Rgb, float]] = {
         MapKind.PREDICTED: (ORANGE, 3.0),
-        MapKind.PLANNED: (ORANGE, 3.0),
         MapKind.REPLANNED: (PURPLE, 2.5),
         MapKind.PROBE: (RED, 2.0),
-        MapKind.TRUE: (palette.ink, 2.0),
-        MapKind.ESTIMATED: (BLUE, 1.8),
         MapKind.RECOVERY: (GREEN, 1.5),
-        MapKind.DRAW: (PALE, 1.0),
         MapKind.CAPTURE: (palette.ink, 1.0),
     }
     return styles.get(kind, (palette.grey, 1.2))
@@ -130,13 +125,9 @@ def polyline(name: str, points: Array, colour: Rgb, thickness: float, *, closed:
 
 def segments(name: str, pairs: Array, colour: Rgb, thickness: float) -> Node:
     """Return lines between pairs of points (n, 2, 3)."""
-    props = {
-        "points": np.asarray(pairs, dtype=np.float32),
-        "colors": colour,
-        "thickness": thickness,
-        "thickness_units": "screen",
-    }
-    return Node("line_segments", name, props)
+    width = {"thickness": thickness, "thickness_units": "screen"}
+    points = np.asarray(pairs, dtype=np.float32)
+    return Node("line_segments", name, {"points": points, "colors": colour, **width})
 
 
 def arrow(name: str, begin: Vec3, end: Vec3, colour: Rgb, size_m: float) -> Node:
@@ -156,29 +147,37 @@ def label(name: str, text: str, at: Vec3, scale: float = 0.85, anchor: str = "bo
     return Node("label", name, {"text": text, "position": at, "font_screen_scale": scale, "anchor": anchor})
 
 
+def disc(name: str, at: Vec3, radius_m: float, colour: Rgb, sides: int = 32) -> Node:
+    """Return a flat marker."""
+    size = {"radius": radius_m, "height": 0.02, "radial_segments": sides}
+    return Node("cylinder", name, size | {"color": colour, "position": at, "cast_shadow": False})
+
+
+def frame(name: str, **pose: Any) -> Node:
+    """Return an invisible node that moves those below it."""
+    return Node("frame", name, {"show_axes": False, **pose})
+
+
 def surface(name: str, outline: Array, z: float, colour: Rgb, opacity: float | None = None) -> Node:
     """Return a flat convex area with corners (n, 2) at an altitude."""
-    vertices = np.column_stack([outline, np.full(len(outline), z)])
-    faces = np.array([[0, i, i + 1] for i in range(1, len(outline) - 1)])
-    return mesh(name, vertices, faces, colour, opacity)
+    faces = [[0, i, i + 1] for i in range(1, len(outline) - 1)]
+    return _mesh(name, at_altitude(outline, z), faces, colour, opacity)
 
 
-def prism(
-    name: str, outline: Array, low: float, high: float, colour: Rgb, opacity: float | None = None
-) -> Node:
-    """Return a solid with a convex base of corners (n, 2)."""
+def prism(name: str, outline: Array, height_m: float, colour: Rgb, opacity: float | None = None) -> Node:
+    """Return a solid on the ground with a convex base of corners (n, 2)."""
     n = len(outline)
-    vertices = np.vstack([np.column_stack([outline, np.full(n, z)]) for z in (low, high)])
-    caps = [[base, base + i, base + i + 1] for base in (0, n) for i in range(1, n - 1)]
-    sides = [[i, (i + 1) % n, n + i] for i in range(n)]
-    sides += [[(i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
-    return mesh(name, vertices, np.array(caps + sides), colour, opacity)
+    vertices = np.vstack([at_altitude(outline, z) for z in (0.0, height_m)])
+    faces = [[base, base + i, base + i + 1] for base in (0, n) for i in range(1, n - 1)]
+    faces += [[i, (i + 1) % n, n + i] for i in range(n)]
+    faces += [[(i + 1) % n, n + (i + 1) % n, n + i] for i in range(n)]
+    return _mesh(name, vertices, faces, colour, opacity)
 
 
-def mesh(name: str, vertices: Array, faces: Array, colour: Rgb, opacity: float | None = None) -> Node:
+def _mesh(name: str, vertices: Array, faces: list[list[int]], colour: Rgb, opacity: float | None) -> Node:
     props = {
         "vertices": np.asarray(vertices, dtype=np.float32),
-        "faces": np.asarray(faces, dtype=np.uint32),
+        "faces": np.array(faces, dtype=np.uint32),
         "color": colour,
         "opacity": opacity,
         "flat_shading": True,
@@ -187,12 +186,6 @@ def mesh(name: str, vertices: Array, faces: Array, colour: Rgb, opacity: float |
         "receive_shadow": False,
     }
     return Node("mesh_simple", name, props)
-
-
-def at_height(points: Array | Sequence[Vec2], z: float) -> Array:
-    """Return points (n, 2) as (n, 3)."""
-    flat = np.asarray(points, dtype=float)[:, :2]
-    return np.column_stack([flat, np.full(len(flat), z)])
 
 
 def turn_z(yaw_rad: float) -> tuple[float, float, float, float]:

@@ -25,9 +25,15 @@ _SEARCH = {  # approaches of a scenario made from a mission
 }
 _POINTS = {"wall": "point_m", "simulated": "point_m", "post": "centre_m"}
 _GAINS = ("alpha_m_per_n", "alpha_wall_m_per_n")
-_CONDITIONS = ("if_met", "if_not_met")
+_NAMING = (
+    "wall",
+    "if_met",
+    "if_not_met",
+    "sequence",
+    *_GAINS,
+)  # keys that name walls
 # Keys of a mission's room that a scenario shares.
-_SHARED = (
+_SHARED = [
     "version",
     "vehicle",
     "frame",
@@ -38,7 +44,7 @@ _SHARED = (
     "posts",
     "transit_mode",
     "limits",
-)
+]
 
 
 def drag(handle: str, position: Vec2, yaw_rad: float | None = None) -> Edit:
@@ -47,13 +53,12 @@ def drag(handle: str, position: Vec2, yaw_rad: float | None = None) -> Edit:
     moved = move(handle, (x, y))
     if yaw_rad is None:
         return moved
-    turned = turn_wall(handle, round(math.degrees(yaw_rad), 1))
 
     def change(tree: Tree) -> None:
         moved.change(tree)
-        wall = existing_entry(tree, handle)
-        if abs(math.remainder(yaw_rad - _yaw_rad(wall), 2.0 * math.pi)) > math.radians(0.05):
-            turned.change(tree)
+        before = math.atan2(*existing_entry(tree, handle)["normal"][::-1])
+        if abs(math.remainder(yaw_rad - before, 2.0 * math.pi)) > math.radians(0.05):
+            turn_wall(handle, round(math.degrees(yaw_rad), 1)).change(tree)
 
     return Edit(moved.what, change)
 
@@ -64,9 +69,9 @@ def set_value(key: Key, value: Any) -> Edit:
     def change(tree: Tree) -> None:
         inside: Any = tree
         for part in key[:-1]:
-            if isinstance(part, str) and isinstance(inside, dict):
+            if isinstance(inside, dict) and isinstance(part, str):
                 inside = inside.setdefault(part, {})
-            elif isinstance(part, int) and isinstance(inside, list) and part < len(inside):
+            elif isinstance(inside, list) and isinstance(part, int) and part < len(inside):
                 inside = inside[part]
             else:
                 raise InputError("does not exist", key=key)
@@ -75,7 +80,7 @@ def set_value(key: Key, value: Any) -> Edit:
         elif isinstance(inside, dict):
             inside.pop(key[-1], None)
         else:
-            del inside[key[-1]]
+            inside.pop(int(key[-1]))
 
     return Edit(f"set {dotted(key)}", change)
 
@@ -87,20 +92,15 @@ def move(object_id: str, position: Vec2) -> Edit:
     def change(tree: Tree) -> None:
         entry = existing_entry(tree, object_id)
         if kind == "corner":
-            corner = int(name)
-            entry["x"] = _with(entry["x"], corner in (1, 2), position[0])
-            entry["y"] = _with(entry["y"], corner in (2, 3), position[1])
-        else:
-            point = _POINTS.get(kind, "position_m")
-            if point not in entry:
-                raise InputError(f"{describe(object_id)} has no position of its own")
-            entry[point] = [*position]
+            for axis, value, high in zip("xy", position, (name in "12", name in "23"), strict=True):
+                entry[axis] = [entry[axis][0], value] if high else [value, entry[axis][1]]
+            return
+        point = _POINTS.get(kind, "position_m")
+        if point not in entry:
+            raise InputError(f"{describe(object_id)} has no position of its own")
+        entry[point] = [*position]
 
     return Edit(f"move {describe(object_id)}", change)
-
-
-def _with(limits: list[float], high: bool, value: float) -> list[float]:
-    return [limits[0], value] if high else [value, limits[1]]
 
 
 def turn_wall(object_id: str, yaw_deg: float) -> Edit:
@@ -113,18 +113,17 @@ def turn_wall(object_id: str, yaw_deg: float) -> Edit:
     def change(tree: Tree) -> None:
         wall = existing_entry(tree, object_id)
         x, y = wall["normal"]
-        wall["normal"] = [round(f(math.radians(yaw_deg)), 10) + 0.0 for f in (math.cos, math.sin)]
-        across = abs(x) < abs(y)
+        wall["normal"] = _normal(yaw_deg)
         for gains in list(_gains_of(tree, object_id.partition("/")[2])):
-            if not any(wall["normal"]) or 0.0 in wall["normal"] or gains[0] == gains[1]:
-                continue
-            _to_wall_axes(tree, gains, across)
+            if 0.0 not in wall["normal"] and gains[0] != gains[1]:
+                _to_wall_axes(tree, gains, across=abs(x) < abs(y))
 
     return Edit(f"turn {describe(object_id)}", change)
 
 
-def _yaw_rad(wall: dict[str, Any]) -> float:
-    return math.atan2(wall["normal"][1], wall["normal"][0])
+def _normal(yaw_deg: float) -> list[float]:
+    """Return a unit vector; after quarter turns it is exact."""
+    return [round(f(math.radians(yaw_deg)), 10) + 0.0 for f in (math.cos, math.sin)]
 
 
 def _gains_of(tree: Tree, wall: str) -> Iterator[list[float]]:
@@ -138,55 +137,46 @@ def _gains_of(tree: Tree, wall: str) -> Iterator[list[float]]:
     yield from (gains for name, gains in per_axis.items() if base_name(name) == wall)
 
 
-def _to_wall_axes(tree: Tree, gains: list[float], across: bool) -> None:
+def _to_wall_axes(tree: Tree, gains: list[float], *, across: bool) -> None:
     """Replace gains per axis by gains [normal, tangential]; `across`: the normal was along y."""
+    per_axis, per_wall = _GAINS
     own = gains[::-1] if across else [*gains]
     for hit in _list_of(tree, "collisions"):
-        if hit.get("alpha_m_per_n") is gains:
-            renamed = {("alpha_wall_m_per_n" if key == "alpha_m_per_n" else key): v for key, v in hit.items()}
+        if hit.get(per_axis) is gains:
+            renamed = {(per_wall if key == per_axis else key): value for key, value in hit.items()}
             hit.clear()
-            hit.update(renamed | {"alpha_wall_m_per_n": own})
-    per_axis = tree.get("alpha_m_per_n", {})
-    for name in [name for name, found in per_axis.items() if found is gains]:
-        del per_axis[name]
-        tree.setdefault("alpha_wall_m_per_n", {})[name] = own
-    if "alpha_m_per_n" in tree and not per_axis:
-        del tree["alpha_m_per_n"]
+            hit.update(renamed | {per_wall: own})
+    of_walls = tree.get(per_axis, {})
+    for name in [name for name, found in of_walls.items() if found is gains]:
+        del of_walls[name]
+        tree.setdefault(per_wall, {})[name] = own
+    if per_axis in tree and not of_walls:
+        del tree[per_axis]
 
 
 def rename(object_id: str, name: str) -> Edit:
     """Rename a wall or post, and every mention of it in hits, waypoints, sequence and gains."""
     kind, _, before = object_id.partition("/")
 
+    def renamed(value: Any, key: str = "") -> Any:
+        if isinstance(value, dict):
+            return {renamed(k, key): renamed(v, k) for k, v in value.items()}
+        if isinstance(value, list):
+            return [renamed(v, key) for v in value]
+        named = key in _NAMING and isinstance(value, str) and base_name(value) == before
+        return name + value[len(before) :] if named else value
+
     def change(tree: Tree) -> None:
         existing_entry(tree, object_id)
-        _refuse_taken(tree, name)
+        if not name or name in _names(tree):
+            raise InputError(f"a wall or post already has the name {name}" if name else "a name is needed")
         section = SECTIONS[kind]
         tree[section] = {(name if key == before else key): value for key, value in tree[section].items()}
-        for holder, key in list(_mentions(tree)):
-            if base_name(str(holder[key])) == before:
-                holder[key] = name + str(holder[key])[len(before) :]
-        for gains in _GAINS:
-            if gains in tree:
-                tree[gains] = {
-                    (name + key[len(before) :] if base_name(key) == before else key): value
-                    for key, value in tree[gains].items()
-                }
+        for key in ("collisions", "waypoints", "sequence", *_GAINS):
+            if key in tree:
+                tree[key] = renamed(tree[key], key)
 
     return Edit(f"rename {describe(object_id)} to {name}", change)
-
-
-def _mentions(tree: Tree) -> Iterator[tuple[Any, Any]]:
-    """Yield each place, as container and key, that names a wall or post, except the gains of a scenario."""
-    for hit in _list_of(tree, "collisions"):
-        yield from ((hit, key) for key in ("wall", *_CONDITIONS) if key in hit)
-    for waypoint in _list_of(tree, "waypoints"):
-        yield from ((waypoint, key) for key in _CONDITIONS if key in waypoint)
-        if isinstance(waypoint.get("at_wall"), dict):
-            yield waypoint["at_wall"], "wall"
-    sequence = tree.get("sequence")
-    if isinstance(sequence, list):
-        yield from ((sequence, i) for i in range(len(sequence)))
 
 
 def _list_of(tree: Tree, section: str) -> list[Any]:
@@ -194,32 +184,22 @@ def _list_of(tree: Tree, section: str) -> list[Any]:
     return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
-def add_wall(point: Vec2, yaw_deg: float, length_m: float, material: str, name: str | None = None) -> Edit:
-    """Add a wall; without a name, the material's name with a number, if needed, is used."""
-    angle = math.radians(yaw_deg)
-    wall = {
-        "point_m": [*point],
-        "normal": [round(math.cos(angle), 10) + 0.0, round(math.sin(angle), 10) + 0.0],
-        "length_m": length_m,
-        "material": material,
-        "given_at": "centre",
-    }
-    return _add_named("walls", wall, name, material)
+def add_wall(point: Vec2, yaw_deg: float, length_m: float, material: str) -> Edit:
+    """Add a wall with the name of its material, and a number if the name is taken."""
+    wall = {"point_m": [*point], "normal": _normal(yaw_deg), "length_m": length_m}
+    return _add_named("walls", wall | {"material": material, "given_at": "centre"}, material)
 
 
-def add_post(centre: Vec2, radius_m: float, material: str, name: str | None = None) -> Edit:
-    """Add a post; without a name, it is `post`, with a number if needed."""
-    post = {"centre_m": [*centre], "radius_m": radius_m, "material": material}
-    return _add_named("posts", post, name, "post")
+def add_post(centre: Vec2, radius_m: float, material: str) -> Edit:
+    """Add a post with the name `post`, and a number if the name is taken."""
+    return _add_named("posts", {"centre_m": [*centre], "radius_m": radius_m, "material": material}, "post")
 
 
-def _add_named(section: str, entry: dict[str, Any], name: str | None, stem: str) -> Edit:
+def _add_named(section: str, entry: dict[str, Any], stem: str) -> Edit:
     def change(tree: Tree) -> None:
-        if name is not None:
-            _refuse_taken(tree, name)
-        tree.setdefault(section, {})[name or _free_name(tree, stem)] = entry
+        tree.setdefault(section, {})[_free_name(tree, stem)] = entry
 
-    return Edit(f"add {section[:-1]} {name or stem}", change)
+    return Edit(f"add {section[:-1]} {stem}", change)
 
 
 def _names(tree: Tree) -> set[str]:
@@ -232,20 +212,13 @@ def _free_name(tree: Tree, stem: str) -> str:
     return next(name for name in (stem, *numbered) if name not in taken)
 
 
-def _refuse_taken(tree: Tree, name: str) -> None:
-    if not name or name in _names(tree):
-        raise InputError(f"a wall or post already has the name {name}" if name else "a name is needed")
-
-
-def add_waypoint(position: Vec2, after: int | None = None) -> Edit:
-    """Add a waypoint after so many hits; by default after the last."""
+def add_waypoint(position: Vec2) -> Edit:
+    """Add a waypoint after the last hit."""
 
     def change(tree: Tree) -> None:
-        flown = len(_list_of(tree, "collisions")) if after is None else after
+        flown = len(_list_of(tree, "collisions"))
         waypoint = ({"after": flown} if flown else {}) | {"position_m": [*position]}
-        found = tree.setdefault("waypoints", [])
-        at = sum(one.get("after", 0) <= flown for one in _list_of(tree, "waypoints"))
-        found.insert(at, waypoint)
+        tree.setdefault("waypoints", []).append(waypoint)
 
     return Edit("add a waypoint", change)
 
@@ -259,53 +232,25 @@ def add_visit(position: Vec2, within_m: float = 0.1) -> Edit:
     return Edit("add a visit", change)
 
 
-def add_hit(
-    wall: str, normal_m_s: float | None = -1.0, tangential_m_s: float = 0.0, mode: str | None = None
-) -> Edit:
+def add_hit(wall: str, normal_m_s: float | None = -1.0) -> Edit:
     """Add a hit at the end; without `normal_m_s`, the recovery of the hit before leads to it.
 
     In a scenario, the wall is added to the sequence.
     """
 
     def change(tree: Tree) -> None:
+        gains = [_GAIN_M_PER_N, _GAIN_M_PER_N]
         if "sequence" in tree:
             sequence = tree["sequence"]
             tree["sequence"] = [*(sequence if isinstance(sequence, list) else []), wall]
             if tree.get("search") and not any(wall in (tree.get(key) or {}) for key in _GAINS):
-                tree.setdefault("alpha_wall_m_per_n", {})[wall] = [_GAIN_M_PER_N, _GAIN_M_PER_N]
+                tree.setdefault("alpha_wall_m_per_n", {})[wall] = gains
             return
-        hit: dict[str, Any] = {"wall": wall}
-        if mode is not None:
-            hit["mode"] = mode
-        if normal_m_s is not None:
-            hit["approach"] = {"normal_m_s": normal_m_s, "tangential_m_s": tangential_m_s}
-        hit["alpha_wall_m_per_n"] = [_GAIN_M_PER_N, _GAIN_M_PER_N]
-        tree.setdefault("collisions", []).append(hit)
+        approach = {"normal_m_s": normal_m_s, "tangential_m_s": 0.0}
+        hit = {"wall": wall} | ({} if normal_m_s is None else {"approach": approach})
+        tree.setdefault("collisions", []).append(hit | {"alpha_wall_m_per_n": gains})
 
     return Edit(f"add a hit of {wall}", change)
-
-
-def set_hit(
-    number: int,
-    wall: str | None = None,
-    mode: str | None = None,
-    normal_m_s: float | None = None,
-    tangential_m_s: float | None = None,
-) -> Edit:
-    """Change a hit (`number` from 1); None leaves a value."""
-    object_id = f"hit/{number - 1}"
-
-    def change(tree: Tree) -> None:
-        hit = existing_entry(tree, object_id)
-        hit |= {key: value for key, value in (("wall", wall), ("mode", mode)) if value is not None}
-        speeds = {"normal_m_s": normal_m_s, "tangential_m_s": tangential_m_s}
-        given = {key: value for key, value in speeds.items() if value is not None}
-        if given and "approach" not in hit and normal_m_s is None:
-            raise InputError(f"{describe(object_id)} has no approach: give its normal velocity first")
-        if given:
-            hit["approach"] = hit.get("approach", {}) | given
-
-    return Edit(f"change {describe(object_id)}", change)
 
 
 def copy_object(object_id: str) -> Edit:

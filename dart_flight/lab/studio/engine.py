@@ -2,44 +2,97 @@
 
 One process checks, a second one plans and flies, so that a check never waits for a plan. The page's process
 loads neither `dart_flight.vehicle` nor mavsdk; the engine's processes (`engine_process`) do. They exchange
-JSON lines. If a process dies, it is started again, and the page gets `EngineDied`.
+pickled objects as lines. A process that dies is started again, and its request ends with `Failed`.
 """
 
 from __future__ import annotations
 
+import base64
 import itertools
+import pickle
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 
-from dart_flight.base.geometry import Vec3
 from dart_flight.base.processes import ChildProcess
 from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.studio.scene_model import Scene, decode_scene
+from dart_flight.lab.studio.scene_model import Scene
 
 _MODULE = "dart_flight.lab.studio.engine_process"
-_MOST_STARTS = 3  # starts in a row without a request that has ended
+READY = b"\n"  # line of a process that is warm
 
 
-class Finding(msgspec.Struct):
+class Finding(NamedTuple):
     """A finding of `check`, or the error that keeps a file from loading.
 
     Attributes:
         item: name of the finding, as `check` prints it; `file` for an error of the file.
-        word: `go`, `NO-GO`, `remark` or `error`.
+        remark: whether the finding is go, but deviates from the recommendation.
         message: the finding in the words of the command.
-        object: id of the object in the scene, or "" if the finding concerns the whole mission.
-        objects: all objects that the finding concerns, the most important first.
+        objects: ids of the objects that the finding concerns, the most important first.
     """
 
     item: str
     go: bool
-    word: str
+    remark: bool
     message: str
-    object: str = ""
-    objects: list[str] = []
+    objects: list[str]
+
+
+class Checked(msgspec.Struct):
+    """A text has been checked.
+
+    Attributes:
+        go: whether `check` of stage `file` says go; for a scenario, whether it loads.
+        scene: scene with predicted path and hits; None if the text is not YAML.
+        stale: why the plan of the mission is stale, or None.
+        materials, modes: those of the vehicle, for menus.
+    """
+
+    go: bool = False
+    findings: list[Finding] = []
+    scene: Scene | None = None
+    stale: str | None = None
+    materials: list[str] = []
+    modes: list[str] = []
+
+
+class PlanRow(msgspec.Struct):
+    """A plan.
+
+    Attributes:
+        rank: 1 is the best; 0 is the free flight, without a hit.
+        values: quantities by name, with unit, as the command's table shows them.
+        paths: lines (n, 3) of the predicted path, in no order.
+        mission: text of the mission, or "" if it is refused.
+        problem: why the mission is refused or no-go, or "".
+    """
+
+    rank: int
+    summary: str
+    values: dict[str, str]
+    paths: list[Array]
+    mission: str
+    problem: str
+    time_s: float | None
+    saving_s: float | None
+
+
+class Planned(msgspec.Struct):
+    """The result of a search.
+
+    Attributes:
+        plans: the best first, the free flight last.
+        refused: number of refused candidates and what to relax, by reason.
+    """
+
+    plans: list[PlanRow]
+    refused: dict[str, tuple[int, str]]
+    summary: str
 
 
 class FlyRequest(msgspec.Struct):
@@ -60,87 +113,6 @@ class FlyRequest(msgspec.Struct):
     log: bool = True
 
 
-class EngineEvent(msgspec.Struct, tag=True):
-    """An event of the engine; `number` is that of the request, 0 without one."""
-
-    number: int = 0
-
-
-class EngineReady(EngineEvent):
-    """A process is warm."""
-
-
-class Checked(EngineEvent):
-    """A text has been checked.
-
-    Attributes:
-        go: whether `check` of stage `file` says go; for a scenario, whether it loads.
-        scene: scene with predicted path and hits.
-        stale: why the plan of the mission is stale, or None.
-        materials: materials of the vehicle, for menus.
-        modes: modes of the vehicle.
-    """
-
-    go: bool = False
-    findings: list[Finding] = []
-    scene: Scene | None = None
-    stale: str | None = None
-    materials: list[str] = []
-    modes: list[str] = []
-
-
-class PlanProgress(EngineEvent):
-    """Candidates tried so far, and in all (None: unknown); `message` names what is going on."""
-
-    done: int = 0
-    of: int | None = None
-    message: str = ""
-
-
-class PlanRow(msgspec.Struct):
-    """A plan.
-
-    Attributes:
-        rank: 1 is the best; 0 is the free flight, without a hit.
-        values: quantities by name, with unit, as the command's table shows them.
-        paths: lines (n, 3) of the predicted path, in no order.
-        mission: text of the mission, or "" if it is refused.
-        refused: why the mission is refused, or None.
-        go: whether `check` of stage `file` says go for the mission.
-        problem: its first no-go, or "".
-    """
-
-    rank: int
-    summary: str
-    values: dict[str, str]
-    paths: list[Array]
-    mission: str
-    refused: str | None = None
-    time_s: float | None = None
-    saving_s: float | None = None
-    go: bool = False
-    problem: str = ""
-
-
-class Planned(EngineEvent):
-    """The search has ended.
-
-    Attributes:
-        refused: number of refused candidates by reason.
-        advice: what to relax, by the same reason.
-        free: the flight without a hit, or None.
-        error: why there is no plan, or None.
-    """
-
-    plans: list[PlanRow] = []
-    refused: dict[str, int] = {}
-    advice: dict[str, str] = {}
-    free: PlanRow | None = None
-    summary: str = ""
-    error: str | None = None
-    cancelled: bool = False
-
-
 class FlownOne(msgspec.Struct):
     """One flight.
 
@@ -148,7 +120,6 @@ class FlownOne(msgspec.Struct):
         outcome: completed, aborted or released.
         reason: why it did not complete, or None.
         path: true path, (n, 3).
-        hits: places of the hits.
         log: the flight's log, or None without one.
     """
 
@@ -156,117 +127,85 @@ class FlownOne(msgspec.Struct):
     outcome: str
     reason: str | None
     path: Array
-    hits: list[Vec3] = []
     log: str | None = None
-    goal_miss_m: float | None = None
-    peak_force_n: float | None = None
 
 
-class FlyProgress(EngineEvent):
-    """Flights that have landed since the last event."""
+class Progress(msgspec.Struct):
+    """Candidates tried or flights landed so far, and in all (None: unknown); `landed` are the new ones."""
 
-    done: int = 0
-    of: int = 0
-    completed: int = 0
+    done: int
+    of: int | None
     landed: list[FlownOne] = []
 
 
-class FlightsFlown(EngineEvent):
-    """All flights have landed, or were cancelled.
+class AllFlown(NamedTuple):
+    """All flights have landed."""
 
-    Attributes:
-        summary: result in one line.
-        error: why the flights could not be flown, or None.
-    """
 
-    done: int = 0
-    completed: int = 0
-    reasons: dict[str, int] = {}
-    summary: str = ""
-    error: str | None = None
+class Failed(NamedTuple):
+    """A request has ended without a result; its number is 0 if a process died without a request."""
+
+    message: str
     cancelled: bool = False
 
 
-class EngineDied(EngineEvent):
-    """The process has ended; it is started again. A plan or flights in progress are lost, the text is not."""
-
-    message: str = ""
-
-
-class CheckQuery(msgspec.Struct, tag=True):
-    """A text to check; `path` is its file."""
+class EngineEvent(NamedTuple):
+    """What has become of the request of that number."""
 
     number: int
-    path: str
-    text: str
+    what: Checked | Progress | Planned | AllFlown | Failed
 
 
-class PlanQuery(msgspec.Struct, tag=True):
-    """A scenario's text to plan; `objective` replaces that of the scenario."""
-
-    number: int
-    path: str
-    text: str
-    objective: str | None
-    within_s: float
-    top: int
-
-
-class FlightsQuery(msgspec.Struct, tag=True):
-    """A mission's text to fly; logs are written below `log_dir`."""
+class EngineRequest(NamedTuple):
+    """A text to work on, whose file is `path`; `task` is the name of a function of `engine_work`."""
 
     number: int
-    path: str
+    task: str
     text: str
-    fly: FlyRequest
-    log_dir: str
+    path: str
+    options: tuple[Any, ...] = ()
 
 
-AnyQuery = CheckQuery | PlanQuery | FlightsQuery
-AnyEvent = EngineReady | Checked | PlanProgress | Planned | FlyProgress | FlightsFlown
+def to_line(value: EngineEvent | EngineRequest) -> bytes:
+    return base64.b64encode(pickle.dumps(value))
+
+
+def from_line(line: bytes) -> Any:
+    return pickle.loads(base64.b64decode(line))
 
 
 class Engine:
     """The engine of one page.
 
     Args:
-        path: the open file; relative names in its text are relative to its folder. It may be replaced.
-        on_event: called with every event, on a thread of the engine, one at a time.
+        on_event: called with every event, on a thread of the engine.
         log_dir: folder for logs of flights.
     """
 
-    def __init__(
-        self, path: Path, on_event: Callable[[EngineEvent], None], log_dir: Path = Path("logs")
-    ) -> None:
-        self.path, self.log_dir = path, log_dir
-        self._on_event, self._one_at_a_time = on_event, threading.RLock()
+    def __init__(self, on_event: Callable[[EngineEvent], None], log_dir: Path) -> None:
+        self._log_dir = str(log_dir.absolute())
         self._numbers = itertools.count(1)
-        self._checker = _Worker("the process that checks", self._deliver)
-        self._worker = _Worker("the process that plans and flies", self._deliver)
+        self._checker = _Worker("the process that checks", on_event)
+        self._worker = _Worker("the process that plans and flies", on_event)
 
-    def check(self, text: str) -> int:
+    def check(self, text: str, path: Path) -> int:
         """Check a text; return the number of the request. A newer request replaces one that waits."""
-        number = next(self._numbers)
-        self._checker.send(CheckQuery(number, str(self.path), text))
-        return number
+        return self._checker.send(EngineRequest(next(self._numbers), "check", text, str(path)))
 
-    def plan(self, text: str, objective: str | None = None, within_s: float = 60.0, top: int = 10) -> int:
-        """Plan a scenario's text; ends with `Planned`. A plan or flights in progress are cancelled first."""
+    def plan(self, text: str, path: Path, objective: str | None = None, within_s: float = 60.0) -> int:
+        """Plan a scenario's text. A plan or flights in progress are cancelled first."""
         self.cancel()
-        number = next(self._numbers)
-        self._worker.send(PlanQuery(number, str(self.path), text, objective, within_s, top))
-        return number
+        options = (objective, within_s)
+        return self._worker.send(EngineRequest(next(self._numbers), "plan", text, str(path), options))
 
-    def fly(self, text: str, request: FlyRequest) -> int:
-        """Fly a mission's text in the fast world; ends with `FlightsFlown`. Cancel what is in progress."""
+    def fly(self, text: str, path: Path, wanted: FlyRequest) -> int:
+        """Fly a mission's text in the fast world. A plan or flights in progress are cancelled first."""
         self.cancel()
-        number = next(self._numbers)
-        folder = str(self.log_dir.absolute())
-        self._worker.send(FlightsQuery(number, str(self.path), text, request, folder))
-        return number
+        options = (wanted, self._log_dir)
+        return self._worker.send(EngineRequest(next(self._numbers), "fly", text, str(path), options))
 
     def cancel(self) -> None:
-        """Cancel the plan or the flights in progress, if any: `Planned` or `FlightsFlown` follows at once."""
+        """Cancel the plan or the flights in progress, if any: `Failed` follows at once."""
         self._worker.cancel()
 
     def close(self) -> None:
@@ -274,51 +213,44 @@ class Engine:
         self._checker.close()
         self._worker.close()
 
-    def _deliver(self, event: EngineEvent) -> None:
-        with self._one_at_a_time:
-            self._on_event(event)
-
 
 class _Worker:
     """A process that answers one request after the other; the newest request replaces one that waits.
 
     Args:
         name: the process, in messages.
-        deliver: callback for its events.
     """
 
-    def __init__(self, name: str, deliver: Callable[[EngineEvent], None]) -> None:
-        self._name, self._deliver = name, deliver
+    def __init__(self, name: str, on_event: Callable[[EngineEvent], None]) -> None:
+        self._name, self._on_event = name, on_event
         self._lock = threading.RLock()
-        self._open: AnyQuery | None = None  # the request in progress
-        self._waiting: AnyQuery | None = None
-        self._landed = (0, 0)  # flights that have landed, and those that completed
-        self._starts, self._closing = 0, False
+        self._open: EngineRequest | None = None  # the request in progress
+        self._waiting: EngineRequest | None = None
         self._process: ChildProcess | None = None
+        self._starts, self._ready = 0, False
         self._start()
 
-    def send(self, request: AnyQuery) -> None:
+    def send(self, request: EngineRequest) -> int:
         with self._lock:
-            if self._process is None and not self._closing:
-                self._starts = 0
+            if self._process is None:
                 self._start()
             self._waiting = request
             self._send_next()
+        return request.number
 
     def cancel(self) -> None:
         """End the request in progress by ending the process, which starts again."""
         with self._lock:
             request, self._open, self._waiting = self._open, None, None
-            if request is None or self._process is None:
-                return
-            self._starts = 0
-            self._end_process()
-            self._start()
-        self._deliver(self._ended(request, cancelled=True))
+            if request is not None:
+                self._end_process()
+                self._start()
+        if request is not None:
+            self._on_event(EngineEvent(request.number, Failed("cancelled", cancelled=True)))
 
     def close(self) -> None:
         with self._lock:
-            self._closing, self._open, self._waiting = True, None, None
+            self._open = self._waiting = None
             self._end_process()
 
     def _end_process(self) -> None:
@@ -328,72 +260,35 @@ class _Worker:
             process.wait()
 
     def _start(self) -> None:
-        self._starts += 1
-        started: list[ChildProcess] = []
-        ready = threading.Event()
-
-        def receive(line: bytes) -> None:
-            ready.wait()
-            self._receive(started[0], line)
-
-        process = ChildProcess(_MODULE, b"", receive)
-        started.append(process)
-        self._process = process
-        ready.set()
+        with self._lock:
+            self._starts, self._ready = self._starts + 1, False
+            self._process = ChildProcess(_MODULE, b"", partial(self._receive, self._starts))
 
     def _send_next(self) -> None:
         if self._open is None and self._waiting is not None and self._process is not None:
-            self._open, self._waiting, self._landed = self._waiting, None, (0, 0)
-            if not self._process.send(msgspec.json.encode(self._open)):
+            self._open, self._waiting = self._waiting, None
+            if not self._process.send(to_line(self._open)):
                 self._process.kill()  # the request did not fit into the pipe, or the process has ended
 
-    def _receive(self, process: ChildProcess, line: bytes) -> None:
-        if not line:
-            process.wait()
-            self._restart(process)
-            return
-        try:
-            event = msgspec.json.decode(line, type=AnyEvent, dec_hook=decode_scene)
-        except msgspec.MsgspecError:
-            return
+    def _receive(self, start: int, line: bytes) -> None:
         with self._lock:
-            if process is not self._process or (event.number and self._open is None):
-                return  # an event of a cancelled request
-            if isinstance(event, FlyProgress):
-                self._landed = (event.done, event.completed)
-            if isinstance(event, Checked | Planned | FlightsFlown):
-                self._open, self._starts = None, 0
-                self._send_next()
-        self._deliver(event)
-
-    def _restart(self, process: ChildProcess) -> None:
-        with self._lock:
-            if process is not self._process or self._closing:
+            if start != self._starts or self._process is None:
+                return  # of a process that was ended here
+            if line == READY:
+                self._ready = True
                 return
-            request, self._open, self._process = self._open, None, None
-            again = self._starts < _MOST_STARTS
-            if again:
-                self._start()
-            repeats = again and isinstance(request, CheckQuery) and self._starts < _MOST_STARTS
-            if repeats and self._waiting is None:
-                self._waiting = request
-            self._send_next()
-        then = "it was started again" if again else "the next request starts it"
-        self._deliver(EngineDied(message=f"{self._name} ended unexpectedly; {then}"))
-        if request is not None and not repeats:
-            self._deliver(self._ended(request, cancelled=False))
+            event = from_line(line) if line else self._restarted()
+            if not isinstance(event.what, Progress):
+                self._open = None
+                self._send_next()
+        self._on_event(event)
 
-    def _ended(self, request: AnyQuery, *, cancelled: bool) -> EngineEvent:
-        """Return the last event of a request whose process has ended."""
-        problem = None if cancelled else f"{self._name} ended unexpectedly"
-        if isinstance(request, CheckQuery):
-            return Checked(request.number, findings=[Finding("file", False, "error", problem or "cancelled")])
-        if isinstance(request, PlanQuery):
-            return Planned(
-                request.number, error=problem, cancelled=cancelled, summary="cancelled" * cancelled
-            )
-        done, completed = self._landed
-        summary = f"cancelled after {done} of {request.fly.flights} flights" if cancelled else ""
-        return FlightsFlown(
-            request.number, done, completed, summary=summary, error=problem, cancelled=cancelled
-        )
+    def _restarted(self) -> EngineEvent:
+        """Start the process again if it has been ready, and return what has become of its request."""
+        again, number = self._ready, 0 if self._open is None else self._open.number
+        self._end_process()
+        self._open = None
+        if again:
+            self._start()
+        then = "it was started again" if again else "the next request starts it"
+        return EngineEvent(number, Failed(f"{self._name} ended unexpectedly; {then}"))

@@ -10,13 +10,13 @@ import sys
 
 
 def main() -> None:
-    from dart_flight.lab.studio.engine_work import Emit, serve  # noqa: PLC0415  (slow to import)
+    from dart_flight.lab.studio.engine_work import serve  # noqa: PLC0415  (slow to import)
 
     # `cancel` kills this process, and the resource tracker of its workers would complain about that.
     os.environ["PYTHONWARNINGS"] = "ignore::UserWarning:multiprocessing.resource_tracker"
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what a library prints must not get among the answers
-    serve(sys.stdin.buffer, Emit(answers))
+    serve(sys.stdin.buffer, answers)
 
 
 if __name__ == "__main__":

@@ -1,23 +1,20 @@
-"""What the processes behind a studio page do: they check, plan and fly texts (`engine`).
-
-A process reads requests as lines of JSON and answers one after the other.
-"""
+"""What the processes behind a studio page do: they check, plan and fly texts (`engine`)."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-import msgspec
+import numpy as np
 
 from dart_flight.base.errors import FlightError
-from dart_flight.base.records import Outcome
-from dart_flight.base.summary import cause_of
+from dart_flight.base.geometry import Vec3
+from dart_flight.base.records import Record, TruthSample
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import CheckFinding, decide
 from dart_flight.config.document import Document, InputError
@@ -32,83 +29,80 @@ from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import Objective, Scenario, parse_scenario
 from dart_flight.lab.search.search import ADVICE, search
 from dart_flight.lab.studio.engine import (
-    AnyQuery,
+    READY,
+    AllFlown,
     Checked,
-    CheckQuery,
     EngineEvent,
-    EngineReady,
+    EngineRequest,
+    Failed,
     Finding,
-    FlightsFlown,
-    FlightsQuery,
     FlownOne,
-    FlyProgress,
+    FlyRequest,
     Planned,
-    PlanProgress,
-    PlanQuery,
     PlanRow,
+    Progress,
+    from_line,
+    to_line,
 )
-from dart_flight.lab.studio.flights import fly_one
 from dart_flight.lab.studio.objects import object_of, objects_in_finding
-from dart_flight.lab.studio.scene_model import LoadedFile, encode_scene, load_text, scene_of
+from dart_flight.lab.studio.scene_model import LoadedFile, load_text, scene_of
 from dart_flight.planning.predicted_flight import PredictedFlight
+from dart_flight.recording.verdict import Verdict
+from dart_flight.run.fast import fly_fast
 from dart_flight.run.prepare import refuse_unflyable, with_simulated_mocap
-from dart_flight.run.workers import Failure, Interrupt, usable_cores, work
+from dart_flight.run.workers import Failure, FinishedItem, Interrupt, attempt, usable_cores, work
 from dart_flight.sim.draws import parse_vary
-from dart_flight.sim.faults.fault_table import parse_mission_fault
+from dart_flight.sim.faults.fault_table import Fault, parse_mission_fault
 
-Send = Callable[[EngineEvent], None]
+Report = Callable[[Progress], None]
 
+_TOP = 10  # plans that are shown
 _PROGRESS_S = 0.2  # interval of progress events
 _OFF_WALL_M, _MOVED_M = 0.03, 0.05  # distances of a planned impact, from its wall and from the predicted one
+_PATH_STEP_US = 50_000  # interval of the points of a flight's line
 
 
 # --- checks ---------------------------------------------------------------------------------------------
 
 
-def check(request: CheckQuery) -> Checked:
+def check(text: str, path: str, report: Report) -> Checked:
     """Load a text as its file would load, run the checks of stage `file`, and build the scene."""
     try:
-        loaded = load_text(request.text, Path(request.path))
+        loaded = load_text(text, Path(path))
     except InputError as error:
-        return Checked(request.number, findings=[_finding_of(error)])
+        return Checked(findings=[_finding_of(error)])
     found = Checked(
-        request.number,
-        materials=list(loaded.vehicle.materials),
-        modes=[mode.value for mode in loaded.vehicle.modes],
+        materials=list(loaded.vehicle.materials), modes=[mode.value for mode in loaded.vehicle.modes]
     )
-    if loaded.error is not None:
-        found.scene, found.findings = scene_of(loaded), [_finding_of(loaded.error)]
-        if any("trajectory" in str(part) for part in loaded.error.key):
-            found.stale = f"the plan does not fit the room any more: {loaded.error.message}"
-        return found
     if isinstance(loaded.resolved, Mission):
         _check_mission(found, loaded, loaded.resolved)
-    else:
-        found.go, found.scene = True, scene_of(loaded)
+        return found
+    found.go, found.scene = loaded.error is None, scene_of(loaded)
+    if loaded.error is not None:
+        found.findings = [_finding_of(loaded.error)]
+        if any("trajectory" in str(part) for part in loaded.error.key):
+            found.stale = f"the plan does not fit the room any more: {loaded.error.message}"
     return found
 
 
 def _check_mission(found: Checked, loaded: LoadedFile, mission: Mission) -> None:
     context = FlightContext(mission)
     run_checks(context, Stage.FILE)
-    report = decide(mission, context.found)
+    decision = decide(mission, context.found)
     tree = loaded.document.tree
     walls, posts = [*tree.get("walls", {}), *tree.get("simulated_walls", {})], list(tree.get("posts", {}))
-    found.go = report.go
-    found.findings = [_as_finding(finding, walls, posts) for finding in report.findings]
+
+    def shown(one: CheckFinding) -> Finding:
+        objects = objects_in_finding(one.item, one.message, walls, posts)
+        return Finding(one.item, one.go, one.remark, one.message, objects)
+
+    found.go, found.findings = decision.go, [shown(one) for one in decision.findings]
     found.scene = scene_of(loaded, context.planned)
     found.stale = stale_plan(mission, context.planned)
 
 
-def _as_finding(finding: CheckFinding, walls: list[str], posts: list[str]) -> Finding:
-    word = "remark" if finding.remark else "go" if finding.go else "NO-GO"
-    objects = objects_in_finding(finding.item, finding.message, walls, posts)
-    return Finding(finding.item, finding.go, word, finding.message, objects[0] if objects else "", objects)
-
-
 def _finding_of(error: InputError) -> Finding:
-    found = object_of(error.key)
-    return Finding("file", False, "error", error.one_line(), found, [found] if found else [])
+    return Finding("file", False, False, error.one_line(), [one for one in [object_of(error.key)] if one])
 
 
 def stale_plan(mission: Mission, planned: PredictedFlight | None) -> str | None:
@@ -116,10 +110,8 @@ def stale_plan(mission: Mission, planned: PredictedFlight | None) -> str | None:
     for collision in mission.collisions:
         if collision.predicted is None:
             continue
-        place, hit = (
-            collision.predicted.position_m,
-            None if planned is None else planned.hits.get(collision.index),
-        )
+        place = collision.predicted.position_m
+        hit = None if planned is None else planned.hits.get(collision.index)
         off_m = abs(collision.wall.signed_distance(place))
         moved_m = 0.0 if hit is None else math.dist(hit.position, place)
         if off_m > _OFF_WALL_M or moved_m > _MOVED_M:
@@ -133,7 +125,7 @@ def stale_plan(mission: Mission, planned: PredictedFlight | None) -> str | None:
 # --- plans ----------------------------------------------------------------------------------------------
 
 
-def plan(request: PlanQuery, emit: Send) -> Planned:
+def plan(text: str, path: str, report: Report, objective: str | None, within_s: float) -> Planned:
     """Search a scenario as `plan` does; each plan becomes the text of a mission beside the scenario."""
     last_s = 0.0
 
@@ -141,44 +133,32 @@ def plan(request: PlanQuery, emit: Send) -> Planned:
         nonlocal last_s
         if time.monotonic() - last_s > _PROGRESS_S:
             last_s = time.monotonic()
-            emit(PlanProgress(request.number, done, of, "searching"))
+            report(Progress(done, of))
 
-    try:
-        document = Document(request.text, request.path)
-        if request.objective is not None:
-            document.tree["objective"] = request.objective
-        scenario = parse_scenario(document)
-        if scenario.objective is Objective.QUICKEST:
-            result = plan_quickest(scenario, request.within_s, progress)
-            summary = describe_quickest(result)
-        else:
-            result = search(scenario, request.top, progress=progress)
-            summary = describe_free(result.free_time, result.best)
-    except InputError as error:
-        return Planned(request.number, error=error.one_line())
-    rows = [_plan_row(result, one) for one in result.plans]
-    return Planned(
-        request.number,
-        [row for row in rows if row.rank],
-        {reason.value: count for reason, count in result.refused.items()},
-        {reason.value: ADVICE[reason] for reason in result.refused},
-        next((row for row in rows if not row.rank), None),
-        summary,
-    )
+    document = Document(text, path)
+    if objective is not None:
+        document.tree["objective"] = objective
+    scenario = parse_scenario(document)
+    if scenario.objective is Objective.QUICKEST:
+        result = plan_quickest(scenario, within_s, progress)
+        summary = describe_quickest(result)
+    else:
+        result = search(scenario, _TOP, progress=progress)
+        summary = describe_free(result.free_time, result.best)
+    rows = sorted((_plan_row(result, one) for one in result.plans), key=lambda row: row.rank or math.inf)
+    refused = {reason.value: (count, ADVICE[reason]) for reason, count in result.refused.items()}
+    return Planned(rows, refused, summary)
 
 
 def _plan_row(result: SearchResult, one: Plan) -> PlanRow:
-    scenario, text, refused = result.scenario, "", None
-    paths, go, problem = list[Array](), False, ""
+    scenario, text, paths = result.scenario, "", list[Array]()
     try:
         text = mission_text(scenario, one, Path(scenario.source))
         context = FlightContext(planned_mission(scenario, one, text))
         paths = _predicted_lines(context.mission, context.planned)
-        bad = [finding.message for finding in run_checks(context, Stage.FILE) if not finding.go]
-        go, problem = not bad, "".join(bad[:1])
+        problem = next((f"no-go: {f.message}" for f in run_checks(context, Stage.FILE) if not f.go), "")
     except RefusedPlanError as error:
-        text, refused = "", error.reason
-    time_s = one.time_to_goal_s if one.time_to_rest_s is None else one.time_to_rest_s
+        text, problem = "", f"refused: {error.reason}"
     hits = [f"{hit.wall} {hit.mode.value} {-hit.normal_m_s:.2f} m/s" for hit in one.collisions]
     return PlanRow(
         one.rank if one.collisions else 0,
@@ -186,11 +166,9 @@ def _plan_row(result: SearchResult, one: Plan) -> PlanRow:
         dict(_values_of(scenario, one)),
         paths,
         text,
-        refused,
-        time_s,
-        one.saving_s,
-        go,
         problem,
+        one.time_to_goal_s if one.time_to_rest_s is None else one.time_to_rest_s,
+        one.saving_s,
     )
 
 
@@ -216,104 +194,89 @@ def _predicted_lines(mission: Mission, planned: PredictedFlight | None) -> list[
 # --- flights --------------------------------------------------------------------------------------------
 
 
-def fly(request: FlightsQuery, emit: Send) -> FlightsFlown:
+def fly(text: str, path: str, report: Report, wanted: FlyRequest, log_dir: str) -> AllFlown:
     """Fly a mission in the fast world: one flight here, several in worker processes."""
-    wanted = request.fly
-    try:
-        mission = parse_mission(Document(request.text, request.path))
-        refuse_unflyable(mission)
-        mission = with_simulated_mocap(mission, None)
-        spreads = parse_vary(wanted.vary, mission.vehicle)
-        if wanted.fault is not None and wanted.flights > 1:
-            raise InputError("a fault needs a single flight")
-        fault = None if wanted.fault is None else parse_mission_fault(mission, wanted.fault)
-        log_dir = Path(request.log_dir) if wanted.log else None
-        one = partial(fly_one, mission, spreads, fault, log_dir)
-        return _fly_all(request, emit, one)
-    except (InputError, FlightError, OSError) as error:
-        return FlightsFlown(
-            request.number, error=error.one_line() if isinstance(error, InputError) else str(error)
-        )
-
-
-def _fly_all(request: FlightsQuery, emit: Send, one: partial[FlownOne]) -> FlightsFlown:
-    seeds = range(request.fly.seed, request.fly.seed + request.fly.flights)
-    flown, waiting, last_s, error = list[FlownOne](), list[FlownOne](), time.monotonic(), None
-
-    def report() -> None:
-        completed = sum(flight.outcome == Outcome.COMPLETED.value for flight in flown)
-        emit(FlyProgress(request.number, len(flown), len(seeds), completed, waiting))
-        waiting.clear()
-
-    emit(FlyProgress(request.number, 0, len(seeds), 0))
-    with contextlib.ExitStack() as held:
-        if len(seeds) == 1:
-            landings: Iterator[tuple[int, FlownOne | Failure]] = iter([(seeds[0], one(seeds[0]))])
-        else:
-            pool = work(one, seeds, min(usable_cores(), len(seeds)), Interrupt())
-            landings = held.enter_context(contextlib.closing(pool))
+    mission = parse_mission(Document(text, path))
+    refuse_unflyable(mission)
+    mission = with_simulated_mocap(mission, None)
+    spreads = parse_vary(wanted.vary, mission.vehicle)
+    if wanted.fault is not None and wanted.flights > 1:
+        raise InputError("a fault needs a single flight")
+    fault = None if wanted.fault is None else parse_mission_fault(mission, wanted.fault)
+    one = partial(fly_one, mission, spreads, fault, Path(log_dir) if wanted.log else None)
+    seeds = range(wanted.seed, wanted.seed + wanted.flights)
+    done, landed, last_s = 0, list[FlownOne](), time.monotonic()
+    report(Progress(0, len(seeds)))
+    with contextlib.closing(_landings(one, seeds)) as landings:
         for seed, result in landings:
             if isinstance(result, Failure):
-                error = f"seed {seed}: {result.what}"
-                break
-            flown.append(result)
-            waiting.append(result)
-            if time.monotonic() - last_s > _PROGRESS_S:
+                if isinstance(result.error, InputError | FlightError):
+                    raise result.error
+                raise FlightError(f"seed {seed}: {result.what}")
+            done += 1
+            landed.append(result)
+            if done == len(seeds) or time.monotonic() - last_s > _PROGRESS_S:
                 last_s = time.monotonic()
-                report()
-    report()
-    return _end_of_flights(request, flown, error)
+                report(Progress(done, len(seeds), landed))
+                landed.clear()
+    return AllFlown()
 
 
-def _end_of_flights(request: FlightsQuery, flown: list[FlownOne], error: str | None) -> FlightsFlown:
-    reasons = dict[str, int]()
-    for flight in flown:
-        if flight.reason is not None:
-            cause = cause_of(flight.reason)
-            reasons[cause] = reasons.get(cause, 0) + 1
-    completed = sum(flight.outcome == Outcome.COMPLETED.value for flight in flown)
-    if len(flown) == 1:
-        reason = "" if flown[0].reason is None else f": {flown[0].reason}"
-        summary = f"seed {flown[0].seed} {flown[0].outcome}{reason}"
+def _landings(one: Callable[[int], FlownOne], seeds: range) -> Generator[FinishedItem[int, FlownOne]]:
+    if len(seeds) == 1:
+        yield FinishedItem(seeds[0], attempt(one, seeds[0]))
     else:
-        summary = f"{completed} of {len(flown)} flights completed"
-        summary += "".join(
-            f", {cause} {n}" for cause, n in sorted(reasons.items(), key=lambda item: -item[1])
-        )
-    return FlightsFlown(request.number, len(flown), completed, reasons, summary, error)
+        yield from work(one, seeds, min(usable_cores(), len(seeds)), Interrupt())
+
+
+def fly_one(
+    mission: Mission, spreads: Mapping[str, float], fault: Fault | None, log_dir: Path | None, seed: int
+) -> FlownOne:
+    """Fly one seed in this process, and return the outcome with the true path."""
+    points, next_us = list[Vec3](), 0
+
+    def follow(record: Record) -> None:
+        nonlocal next_us
+        if isinstance(record, TruthSample) and record.t_us >= next_us:
+            next_us = record.t_us + _PATH_STEP_US
+            points.append(record.position_mission)
+
+    verdict: Verdict = fly_fast(mission, seed, log_dir, follow, fault=fault, spreads=spreads)
+    reason = "; ".join(verdict.uncontrolled) or verdict.reason
+    return FlownOne(seed, verdict.outcome.value, reason, np.array(points).reshape(-1, 3), verdict.log)
 
 
 # --- the process ----------------------------------------------------------------------------------------
 
 
-class Emit:
-    """Writer of events as lines of JSON."""
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests, one line each, until their stream ends."""
 
-    def __init__(self, stream: BinaryIO) -> None:
-        self._stream = stream
-        self._encoder = msgspec.json.Encoder(enc_hook=encode_scene)
+    def emit(line: bytes) -> None:
+        answers.write(line)
+        answers.flush()
 
-    def __call__(self, event: EngineEvent) -> None:
-        self._stream.write(self._encoder.encode(event) + b"\n")
-        self._stream.flush()
-
-
-def serve(requests: BinaryIO, emit: Send) -> None:
-    """Answer requests until their stream ends."""
-    emit(EngineReady())
+    emit(READY)
     for line in requests:
         if line.strip():
-            emit(_answer(msgspec.json.decode(line, type=AnyQuery), emit))
+            request: EngineRequest = from_line(line)
+
+            def report(what: Any, number: int = request.number) -> None:
+                emit(to_line(EngineEvent(number, what)) + b"\n")
+
+            report(answer(request, report))
 
 
-def _answer(request: AnyQuery, emit: Send) -> EngineEvent:
+_TASKS: dict[str, Callable[..., Checked | Planned | AllFlown]] = {"check": check, "plan": plan, "fly": fly}
+
+
+def answer(request: EngineRequest, report: Report) -> Checked | Planned | AllFlown | Failed:
+    """Return the result of a request, or why there is none."""
     try:
-        if isinstance(request, CheckQuery):
-            return check(request)
-        return plan(request, emit) if isinstance(request, PlanQuery) else fly(request, emit)
+        return _TASKS[request.task](request.text, request.path, report, *request.options)
+    except InputError as error:
+        return Failed(error.one_line())
+    except (FlightError, OSError) as error:
+        return Failed(str(error))
     except Exception as error:  # a defect must not end the process: the page shows it in one line
-        message = f"{type(error).__name__}: {error}"
-        if isinstance(request, CheckQuery):
-            return Checked(request.number, findings=[Finding("file", False, "error", message)])
-        kind = Planned if isinstance(request, PlanQuery) else FlightsFlown
-        return kind(request.number, error=message)
+        return Failed(f"{type(error).__name__}: {error}")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
-from dart_flight.config.document import Key
 from dart_flight.lab.studio import edits
-from dart_flight.lab.studio.objects import describe, entry_of, key_of
+from dart_flight.lab.studio.objects import SECTIONS, entry_of, key_of
 from dart_flight.lab.studio.open_file import Edit, Tree
 
 
@@ -16,7 +16,7 @@ class Field(NamedTuple):
     """A field of the panel.
 
     Attributes:
-        value: present value; text for a choice.
+        value: present value; text for a name or a choice.
         edit: returns the edit that sets the value.
         options: the allowed values of a choice.
         step: step of a number's arrows; its digits are not limited.
@@ -30,152 +30,130 @@ class Field(NamedTuple):
     hint: str = ""
 
 
+def _or_none(value: float) -> float | None:
+    return value or None
+
+
+class _NumberSpec(NamedTuple):
+    """A number of an entry; it is shown if the dictionary or list that contains it exists."""
+
+    path: tuple[str | int, ...]
+    label: str
+    step: float = 0.01
+    default: float = 0.0
+    hint: str = ""
+    written: Callable[[float], float | None] = float
+
+
+def _at(name: str) -> tuple[_NumberSpec, _NumberSpec]:
+    return _NumberSpec((name, 0), "x, m"), _NumberSpec((name, 1), "y, m")
+
+
+_WALL = (
+    *_at("point_m"),
+    _NumberSpec(("length_m",), "length, m", 0.1),
+    _NumberSpec(
+        ("position_sd_m",), "position ±, m", hint="standard deviation along the normal", written=_or_none
+    ),
+    _NumberSpec(("yaw_sd_deg",), "direction ±, °", 0.5, 0.0, "standard deviation; 0: not given", _or_none),
+)
+_NUMBERS = {
+    "wall": _WALL,
+    "simulated": _WALL,
+    "post": (*_at("centre_m"), _NumberSpec(("radius_m",), "radius, m")),
+    "start": (*_at("position_m"), _NumberSpec(("altitude_m",), "altitude, m", 0.1)),
+    "goal": (
+        *_at("position_m"),
+        _NumberSpec(("capture_radius_m",), "radius, m", 0.05, 0.15),
+        _NumberSpec(("hold_s",), "hold, s", 0.5, 2.0),
+    ),
+    "waypoint": (
+        *_at("position_m"),
+        _NumberSpec(("altitude_m",), "altitude, m", 0.1, 0.0, "0: unchanged", _or_none),
+        _NumberSpec(("speed_m_s",), "speed, m/s", 0.1, 0.0, "0: the configuration's transit speed", _or_none),
+        _NumberSpec(("after",), "after hits", 1.0, written=int),
+    ),
+    "visit": (*_at("position_m"), _NumberSpec(("within_m",), "within, m", 0.05)),
+    "corner": tuple(
+        _NumberSpec((axis, i), f"{axis} {end}, m", 0.1)
+        for axis in "xyz"
+        for i, end in enumerate(("low", "high"))
+    ),
+    "hit": (
+        _NumberSpec(("approach", "normal_m_s"), "normal, m/s", 0.05, -1.0, "negative is towards the wall"),
+        _NumberSpec(
+            ("approach", "tangential_m_s"),
+            "tangential, m/s",
+            0.05,
+            hint="velocity along the wall, positive to the right when looking along the normal",
+        ),
+    ),
+}
+
+
 def object_ids(tree: Tree) -> list[str]:
     """Return the ids of all objects of a mission or scenario that the panel can show."""
     found = ["start", "goal"]
-    for section, kind in (
-        ("walls", "wall"),
-        ("simulated_walls", "simulated"),
-        ("posts", "post"),
-        ("waypoints", "waypoint"),
-        ("visits", "visit"),
-        ("collisions", "hit"),
-    ):
+    for kind, section in SECTIONS.items():
         entries = tree.get(section)
-        names: Sequence[Any] = list(entries) if isinstance(entries, dict) else ()
-        if isinstance(entries, list):
-            names = range(len(entries))
-        found += [f"{kind}/{name}" for name in names]
+        names = range(len(entries)) if isinstance(entries, list) else entries
+        found += [f"{kind}/{name}" for name in names or ()]
     return [one for one in [*found, "corner/0"] if entry_of(tree, one) is not None]
 
 
 def fields_of(tree: Tree, object_id: str, materials: Sequence[str], modes: Sequence[str]) -> list[Field]:
     """Return the fields of an object; of a part that is not as the format demands, no field."""
-    entry, key, kind = entry_of(tree, object_id), key_of(object_id), object_id.partition("/")[0]
-    if not isinstance(entry, dict):
-        return []
-    reader = _KeyReader(entry, key)
-    if kind == "corner":
-        return [
-            Field(
-                f"{axis} {('low', 'high')[i]}, m",
-                float(entry[axis][i]),
-                lambda v, axis=axis, i=i: edits.set_value(("bounds_m", axis, i), v),  # type: ignore[misc]
-                step=0.1,
-            )
-            for axis in "xyz"
-            for i in (0, 1)
-            if isinstance(entry.get(axis), list) and len(entry[axis]) == 2
-        ]
-    if kind == "hit":
-        return _hit_fields(tree, object_id, entry, modes)
-    found = list[Field]()
+    entry = entry_of(tree, object_id)
+    return list(_fields(tree, object_id, entry, materials, modes)) if isinstance(entry, dict) else []
+
+
+def _fields(
+    tree: Tree, object_id: str, entry: dict[str, Any], materials: Sequence[str], modes: Sequence[str]
+) -> Iterator[Field]:
+    kind, _, name = object_id.partition("/")
+    key = key_of(object_id)
     if kind in ("wall", "post"):
-        name = object_id.partition("/")[2]
-        found.append(Field("name", name, lambda v: edits.rename(object_id, str(v).strip())))
-    found += _place_fields(reader)
-    if kind in ("wall", "simulated"):
-        normal = entry.get("normal")
-        if isinstance(normal, list) and len(normal) == 2:
-            yaw = math.degrees(math.atan2(normal[1], normal[0]))
-            hint = "direction of the normal, which points into free space, counter-clockwise from x"
-            turn = Field(
-                "direction, °", round(yaw, 6), lambda v: edits.turn_wall(object_id, v), (), 1.0, hint
-            )
-            found.append(turn)
-        found += [
-            reader.number("length_m", "length, m", 0.1),
-            reader.choice("material", "material", materials),
-            reader.optional("position_sd_m", "position ±, m", 0.01, "standard deviation along the normal"),
-            reader.optional("yaw_sd_deg", "direction ±, °", 0.5, "standard deviation; 0: not given"),
-        ]
-    elif kind == "post":
-        found += [
-            reader.number("radius_m", "radius, m", 0.01),
-            reader.choice("material", "material", materials),
-        ]
-    elif kind == "start":
-        found.append(reader.number("altitude_m", "altitude, m", 0.1))
-    elif kind == "goal":
-        found += [
-            reader.number("capture_radius_m", "radius, m", 0.05, 0.15),
-            reader.number("hold_s", "hold, s", 0.5, 2.0),
-        ]
-    elif kind == "waypoint":
-        found += [
-            reader.optional("altitude_m", "altitude, m", 0.1, "0: the altitude does not change"),
-            reader.optional("speed_m_s", "speed, m/s", 0.1, "0: the configuration's transit speed"),
-            reader.number("after", "after hits", 1.0, 0.0, whole=True),
-        ]
-    elif kind == "visit":
-        found.append(reader.number("within_m", "within, m", 0.05))
-    return found
+        yield Field("name", name, lambda v: edits.rename(object_id, str(v).strip()))
+    if kind == "hit":
+        walls = [str(one) for section in ("walls", "posts") for one in tree.get(section) or ()]
+        for part, options in (("wall", walls), ("mode", modes)):
+            if options:
+                yield _choice((*key, part), entry, options)
+    for i, number in enumerate(_NUMBERS[kind]):
+        if i == 2 and "normal" in entry:
+            yield from _direction(object_id, entry["normal"])
+        inside, last = _inside(entry, number.path), number.path[-1]
+        if isinstance(inside, dict):
+            value = inside.get(last, number.default)
+        elif isinstance(inside, list) and isinstance(last, int) and len(inside) == 2:
+            value = inside[last]
+        else:
+            continue
+        yield Field(
+            number.label,
+            float(value) if isinstance(value, int | float) else number.default,
+            lambda v, number=number: edits.set_value((*key, *number.path), number.written(v)),  # type: ignore[misc]
+            step=number.step,
+            hint=number.hint,
+        )
+    if "material" in entry:
+        yield _choice((*key, "material"), entry, materials)
 
 
-def _place_fields(reader: _KeyReader) -> list[Field]:
-    name = next((k for k in ("point_m", "centre_m", "position_m") if k in reader.entry), "")
-    place, key = reader.entry.get(name), (*reader.key, name)
-    if not isinstance(place, list) or len(place) != 2:
-        return []
-    return [
-        Field("x, m", float(place[0]), lambda v: edits.set_value((*key, 0), v)),
-        Field("y, m", float(place[1]), lambda v: edits.set_value((*key, 1), v)),
-    ]
+def _inside(entry: Any, path: tuple[str | int, ...]) -> Any:
+    for part in path[:-1]:
+        entry = entry.get(part) if isinstance(entry, dict) else None
+    return entry
 
 
-def _hit_fields(tree: Tree, object_id: str, entry: dict[str, Any], modes: Sequence[str]) -> list[Field]:
-    number, approach = int(object_id.partition("/")[2]) + 1, entry.get("approach")
-    walls = [str(name) for section in ("walls", "posts") for name in tree.get(section) or ()]
-    wall, mode = str(entry.get("wall")), entry.get("mode")
-    names = walls if wall in walls else [wall, *walls]
-    found = [Field("wall", wall, lambda v: edits.set_hit(number, wall=v), tuple(names))]
-    if modes:
-        known = mode if mode in modes else modes[0]
-        found.append(Field("mode", str(known), lambda v: edits.set_hit(number, mode=v), tuple(modes)))
-    if isinstance(approach, dict):
-        found += [
-            Field(
-                "normal, m/s",
-                float(approach.get("normal_m_s", -1.0)),
-                lambda v: edits.set_hit(number, normal_m_s=v),
-                step=0.05,
-                hint="velocity along the wall's normal; negative is towards the wall",
-            ),
-            Field(
-                "tangential, m/s",
-                float(approach.get("tangential_m_s", 0.0)),
-                lambda v: edits.set_hit(number, tangential_m_s=v),
-                step=0.05,
-                hint="velocity along the wall, positive to the right when looking along the normal",
-            ),
-        ]
-    return found
+def _direction(object_id: str, normal: Any) -> Iterator[Field]:
+    if isinstance(normal, list) and len(normal) == 2:
+        yaw = round(math.degrees(math.atan2(normal[1], normal[0])), 6)
+        hint = "direction of the normal, which points into free space, counter-clockwise from x"
+        yield Field("direction, °", yaw, partial(edits.turn_wall, object_id), step=1.0, hint=hint)
 
 
-class _KeyReader(NamedTuple):
-    """Makes the fields of single keys of an entry."""
-
-    entry: dict[str, Any]
-    key: Key
-
-    def number(
-        self, name: str, label: str, step: float, default: float = 0.0, *, whole: bool = False
-    ) -> Field:
-        value, key = self.entry.get(name, default), (*self.key, name)
-        shown = float(value) if isinstance(value, int | float) else default
-        return Field(label, shown, lambda v: edits.set_value(key, int(v) if whole else v), step=step)
-
-    def optional(self, name: str, label: str, step: float, hint: str) -> Field:
-        value, key = self.entry.get(name), (*self.key, name)
-        shown = float(value) if isinstance(value, int | float) else 0.0
-        return Field(label, shown, lambda v: edits.set_value(key, v or None), step=step, hint=hint)
-
-    def choice(self, name: str, label: str, options: Sequence[str]) -> Field:
-        value, key = str(self.entry.get(name)), (*self.key, name)
-        allowed = tuple(options) if value in options else (value, *options)
-        return Field(label, value, lambda v: edits.set_value(key, v), allowed)
-
-
-def label_of(object_id: str) -> str:
-    """Return an object as the panel's list shows it."""
-    return describe(object_id).removeprefix("the ")
+def _choice(key: tuple[Any, ...], entry: dict[str, Any], options: Sequence[str]) -> Field:
+    value = str(entry.get(key[-1], options[0] if options else ""))
+    allowed = tuple(options) if value in options else (value, *options)
+    return Field(str(key[-1]), value, partial(edits.set_value, key), allowed)

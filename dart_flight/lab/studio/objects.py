@@ -1,4 +1,8 @@
-"""The objects of a mission or scenario by id, such as `wall/acrylic` or `hit/0`, and their keys."""
+"""The objects of a mission or scenario by id, such as `wall/acrylic` or `hit/0`, and their keys.
+
+Ids are `wall/NAME`, `simulated/NAME`, `post/NAME`, `start`, `goal`, `waypoint/I`, `visit/I`, `hit/I` (I
+counts from 0) and `corner/I`, a corner of the bounds.
+"""
 
 from __future__ import annotations
 
@@ -24,34 +28,30 @@ _BY_NUMBER = re.compile(r"(?:.*_)?(\d+)$")
 def key_of(object_id: str) -> Key:
     """Return the key of an object's entry in the file; a corner's entry is `bounds_m`."""
     kind, _, name = object_id.partition("/")
-    if kind in ("start", "goal"):
-        return (kind,)
-    if kind == "corner":
-        return ("bounds_m",)
-    return (SECTIONS[kind], int(name) if kind in _LISTS else name)
+    if kind in SECTIONS:
+        return (SECTIONS[kind], int(name) if kind in _LISTS else name)
+    return ("bounds_m",) if kind == "corner" else (kind,)
 
 
 def object_of(key: Key) -> str:
     """Return the object whose entry contains a key of the file, or ""."""
-    if not key:
-        return ""
-    if key[0] in ("start", "goal"):
-        return str(key[0])
-    kinds = {section: kind for kind, section in SECTIONS.items()}
-    if len(key) > 1 and key[0] in kinds:
-        return f"{kinds[str(key[0])]}/{key[1]}"
-    return "corner/0" if key[0] == "bounds_m" else ""
+    section, *rest = key or ("",)
+    if section in ("start", "goal"):
+        return str(section)
+    if section == "bounds_m":
+        return "corner/0"
+    kind = next((kind for kind, name in SECTIONS.items() if name == section), "")
+    return f"{kind}/{rest[0]}" if kind and rest else ""
 
 
 def entry_of(tree: Any, object_id: str) -> Any:
     """Return the value of an object in the file, or None if it does not exist."""
-    found = tree
-    for part in key_of(object_id):
-        if isinstance(part, int):
-            found = found[part] if isinstance(found, list) and part < len(found) else None
-        else:
-            found = found.get(part) if isinstance(found, dict) else None
-    return found
+    try:
+        for part in key_of(object_id):
+            tree = tree[part]
+    except (KeyError, IndexError, TypeError):
+        return None
+    return tree
 
 
 def existing_entry(tree: Any, object_id: str) -> dict[str, Any]:
@@ -65,12 +65,9 @@ def existing_entry(tree: Any, object_id: str) -> dict[str, Any]:
 def describe(object_id: str) -> str:
     """Return an object in words, such as `wall acrylic`, `hit 2` or `the goal`."""
     kind, _, name = object_id.partition("/")
-    if kind in ("start", "goal"):
-        return f"the {kind}"
-    if kind == "corner":
-        return "the bounds"
-    shown = {"simulated": "simulated wall"}.get(kind, kind)
-    return f"{shown} {int(name) + 1 if kind in _LISTS else name}"
+    if kind not in SECTIONS:
+        return "the bounds" if kind == "corner" else f"the {kind}"
+    return f"{'simulated wall' if kind == 'simulated' else kind} {int(name) + 1 if kind in _LISTS else name}"
 
 
 def base_name(wall: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Callable
 from enum import Enum, StrEnum
 from pathlib import Path
@@ -54,11 +53,6 @@ class DiskState(Enum):
     MISSING = "the file is no longer on the disk"
 
 
-class _UndoStep(NamedTuple):
-    what: str
-    text: str  # text before the step
-
-
 class OpenFile:
     """A mission or scenario, as text.
 
@@ -68,14 +62,12 @@ class OpenFile:
         path: the file.
         kind: mission or scenario.
         saved: text as opened, reloaded or saved.
-        text: present text.
     """
 
     def __init__(self, path: Path, text: str, stamp: Stamp = None) -> None:
-        self.path, self.saved, self.text = path, text, text
+        self.path, self.saved = path, text
         self._stamp = stamp
-        self._done: list[_UndoStep] = []
-        self._undone: list[_UndoStep] = []
+        self._texts, self._edits, self._at = [text], list[str](), 0  # edit i leads from text i to text i + 1
         self.kind = kind_of_text(text, path)
 
     @classmethod
@@ -97,6 +89,11 @@ class OpenFile:
         return opened
 
     @property
+    def text(self) -> str:
+        """The present text."""
+        return self._texts[self._at]
+
+    @property
     def tree(self) -> Tree:
         """A copy of the present values."""
         tree: Tree = Document(self.text, str(self.path)).tree
@@ -113,35 +110,31 @@ class OpenFile:
         """Replace the whole text as one step, for example by the mission of a plan."""
         if text == self.text:
             return
-        self._done.append(_UndoStep(what, self.text))
-        del self._done[:-_MOST_STEPS]
-        self._undone.clear()
-        self.text = text
+        first = max(0, self._at + 1 - _MOST_STEPS)
+        self._texts = [*self._texts[first : self._at + 1], text]
+        self._edits = [*self._edits[first : self._at], what]
+        self._at = len(self._edits)
 
     @property
     def can_undo(self) -> str | None:
         """The last edit in words, or None if there is nothing to undo."""
-        return self._done[-1].what if self._done else None
+        return self._edits[self._at - 1] if self._at else None
 
     @property
     def can_redo(self) -> str | None:
         """The edit that `redo` repeats, in words, or None."""
-        return self._undone[-1].what if self._undone else None
+        return self._edits[self._at] if self._at < len(self._edits) else None
 
     def undo(self) -> str | None:
         """Restore the text before the last edit; return the edit in words, or None without an edit."""
-        return self._step(self._done, self._undone)
+        what = self.can_undo
+        self._at -= what is not None
+        return what
 
     def redo(self) -> str | None:
         """Repeat the edit that was undone last; return it in words, or None."""
-        return self._step(self._undone, self._done)
-
-    def _step(self, source: list[_UndoStep], target: list[_UndoStep]) -> str | None:
-        if not source:
-            return None
-        what, text = source.pop()
-        target.append(_UndoStep(what, self.text))
-        self.text = text
+        what = self.can_redo
+        self._at += what is not None
         return what
 
     @property
@@ -165,26 +158,20 @@ class OpenFile:
             return DiskState.SAME
         return DiskState.BOTH_CHANGED if self.is_changed else DiskState.CHANGED
 
-    def save(self, path: Path | None = None, *, overwrite: bool = False) -> None:
-        """Write the text, completely or not at all; with `path`, under another name, which is then open.
+    def save(self, *, overwrite: bool = False) -> None:
+        """Write the text, completely or not at all.
 
         Raises:
             InputError: the file cannot be written; or it has changed on the disk and `overwrite` is not set.
         """
-        target = path or self.path
-        if path is not None:
-            self.set_text(relocated(self.text, self.path.parent, path.parent), "follow the file's new folder")
-        if (
-            path is None
-            and not overwrite
-            and self.disk_state() in (DiskState.CHANGED, DiskState.BOTH_CHANGED)
-        ):
-            raise InputError("changed on the disk: reload it, or overwrite it", source=str(target))
-        if path is None and not self.is_changed and not overwrite and self.path.exists():
-            return
-        with report_write_errors(target):
-            replace_file(target, self.text.encode("utf-8"))
-        self.path, self.saved, self._stamp = target, self.text, stamp_of(target)
+        if not overwrite:
+            if self.disk_state() in (DiskState.CHANGED, DiskState.BOTH_CHANGED):
+                raise InputError("changed on the disk: reload it, or overwrite it", source=str(self.path))
+            if not self.is_changed and self.path.exists():
+                return
+        with report_write_errors(self.path):
+            replace_file(self.path, self.text.encode("utf-8"))
+        self.saved, self._stamp = self.text, stamp_of(self.path)
 
     def reload(self) -> None:
         """Take the text from the disk, as a step that can be undone.
@@ -209,13 +196,3 @@ def kind_of_text(text: str, path: Path) -> StudioKind:
         return StudioKind.MISSION
     what = "another file" if kind is None else kind.value
     raise InputError(f"this is {what}; the studio opens missions and scenarios", source=str(path))
-
-
-def relocated(text: str, before: Path, after: Path) -> str:
-    """Return a text whose vehicle, if it names a file, is the same one from another folder."""
-    tree = Document(text, "").tree
-    vehicle = tree.get("vehicle")
-    if not isinstance(vehicle, str) or before.absolute() == after.absolute():
-        return text
-    moved = os.path.relpath((before / vehicle).absolute(), after.absolute())
-    return update_text(text, {**tree, "vehicle": Path(moved).as_posix()})

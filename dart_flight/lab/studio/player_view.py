@@ -1,186 +1,192 @@
-"""The player: a flight in the room with a time slider and charts, and many flights as thin lines."""
+"""The player: a flight in the room with a time slider and charts, or a flight in progress."""
 
 from __future__ import annotations
 
 import html
 import math
 import time
-from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from viser import uplot
 
+from dart_flight.config.document import InputError
 from dart_flight.lab.figure_style import ESTIMATED, PREDICTED, TRUE
-from dart_flight.lab.flight_arrays import Array
-from dart_flight.lab.studio.canvas import (
-    BLUE,
-    GREEN,
-    LIGHT,
-    RED,
-    Canvas,
-    Node,
-    Palette,
-    Rgb,
-    segments,
-)
-from dart_flight.lab.studio.engine import FlownOne
-from dart_flight.lab.studio.panels import GO, NO_GO, QUIET, Wiring, block, line
-from dart_flight.lab.studio.playback import ForceChart, Playback, PlayedHit, value_at
-from dart_flight.lab.studio.scene_model import VehicleShape
-from dart_flight.lab.studio.vehicle_view import VehicleView
-from dart_flight.lab.studio.watching import LiveState
+from dart_flight.lab.report.page import flight_page
+from dart_flight.lab.report.recorded_flight import RecordedFlight
+from dart_flight.lab.studio.canvas import LIGHT
+from dart_flight.lab.studio.playback import Chart, Playback, PlayedHit, playback_of, value_at
+from dart_flight.lab.studio.room_view import VehicleView
+from dart_flight.lab.studio.scene_model import Scene, scene_of_mission
+from dart_flight.lab.studio.studio_page import GO, NO_GO, QUIET, StudioPage, block, line
+from dart_flight.lab.studio.watching import WatchedFlight, growing_log
 
 _BEFORE_HIT_S = 0.3  # the jump to a hit ends so long before it
-_TEXT_S, _FRAME_S = 0.12, 0.04  # shortest interval between two texts and two frames
+_ACTED_S = 1.5  # an action of the guard is shown so long
+_TEXT_S = 0.12  # shortest interval between two texts
+_REPORTS = 5  # kept pages
 _NO_FLIGHT = "Fly, or open a flight from a file: this page then plays it."
-_OUTCOMES = {"completed": GREEN, "aborted": RED, "released": BLUE}
 
 
 class Player:
-    """The panel *Play*, and what it shows in the room."""
+    """The panel *Play*, and what it shows in the room.
 
-    def __init__(
-        self,
-        wiring: Wiring,
-        canvas: Canvas,
-        report: Callable[[], None],
-        open_flight: Callable[[FlownOne], None],
-    ) -> None:
-        gui = wiring.server.gui
-        self._canvas, self._wiring, self._open_flight = canvas, wiring, open_flight
-        self._view = VehicleView(canvas)
-        self._flight: Playback | None = None
+    Attributes:
+        at_s: time of the flight that is shown.
+        reports: pages by their path, for the server.
+    """
+
+    def __init__(self, page: StudioPage, reports: dict[str, str]) -> None:
+        self._page, self._view, self.reports = page, VehicleView(page.canvas), reports
+        self.flight: Playback | None = None
+        self._log = Path()
+        self._scene: Scene | None = None
         self._hit: PlayedHit | None = None
-        self._unit_m, self._palette = 0.05, LIGHT
-        self._vehicle: VehicleShape | None = None
         self._begun: tuple[float, float] | None = None  # clock and flight time at the last start
-        self._texted = 0.0
-        self.at_s = 0.0
+        self._watched: WatchedFlight | None = None
+        self._texted = self.at_s = 0.0
+        gui = page.gui
         self._title = gui.add_html(block(line(_NO_FLIGHT, QUIET)))
         self._controls = gui.add_folder(None, visible=False)
+        self._charts: list[Any] = []
         with self._controls:
-            self._play = wiring.button("Play", self.play_or_pause)
+            self._play = page.button("Play", self.play_or_pause)
             self._slider = gui.add_slider("time, s", 0.0, 1.0, 0.01, 0.0)
             self._speed = gui.add_slider("speed", 0.1, 4.0, 0.1, 1.0)
-            self._next = wiring.button("Next hit", self.jump_to_hit, color="gray")
+            self._next = page.button("Next hit", self.jump_to_hit, color="gray")
             self._status = gui.add_html("")
-            self._charts: list[Any] = []
-            self._report = wiring.button("Report", report, color="gray", visible=not wiring.read_only)
+            page.button("Report", self._report, color="gray", visible=not page.read_only)
             self._link = gui.add_html("", visible=False)
-        wiring.when_changed(self._slider, self.seek)
-        wiring.when_changed(self._speed, lambda value: self._restart())
+        page.when_changed(self._slider, self.seek)
+        page.when_changed(self._speed, lambda value: self._restart())
 
     @property
     def is_playing(self) -> bool:
         return self._begun is not None
 
-    # --- what is shown --------------------------------------------------------------------------------------
+    @property
+    def is_moving(self) -> bool:
+        """Whether `tick` has something to show."""
+        return self.is_playing or self._watched is not None
 
-    def open(self, flight: Playback, vehicle: VehicleShape, size_m: float, palette: Palette) -> None:
-        """Show a flight and start to play it."""
+    def play(self, log: Path) -> None:
+        """Read a flight and play it; without an open file, the room becomes that of the flight."""
+
+        def read() -> tuple[Playback | None, Scene]:
+            flight = RecordedFlight.read(log)
+            return playback_of(flight), scene_of_mission(flight.mission, flight.planned)
+
+        def show(found: tuple[Playback | None, Scene]) -> None:
+            flight, scene = found
+            if flight is None:
+                raise InputError("the log contains no motion in the air", source=str(log))
+            self._page.note("")
+            self._log = log
+            self._prepare(scene)
+            self._open(flight)
+
+        self._page.in_background(read, show)
+
+    def _prepare(self, scene: Scene) -> None:
         self.close()
-        self._flight, self._vehicle, self._unit_m, self._palette = flight, vehicle, 0.012 * size_m, palette
-        colour = GO if flight.completed else NO_GO
-        acts = [line(f"{moment.at_s:.2f} s: guard {moment.value}", NO_GO) for moment in flight.guard]
-        self._title.content = block(line(flight.name, strong=True), line(flight.summary, colour), *acts)
-        begin, end = float(flight.time_s[0]), float(flight.time_s[-1])
-        self._slider.min, self._slider.max = begin, end
-        self._link.visible = False
-        self._next.visible = bool(flight.hits)
+        self._scene = scene
+        if self._page.file is None:
+            self._page.scene = scene
+            self._page.draw()
+
+    def _open(self, flight: Playback) -> None:
+        self.flight = flight
+        acts = [line(f"{at_s:.2f} s: guard {what}", NO_GO) for at_s, what in flight.guard]
+        summary = line(flight.summary, GO if flight.completed else NO_GO)
+        self._title.content = block(line(flight.name, strong=True), summary, *acts)
+        self._slider.min, self._slider.max = float(flight.time_s[0]), float(flight.time_s[-1])
+        self._link.visible, self._next.visible = False, bool(flight.hits)
         self._controls.visible = True
-        self._draw()
-        self.seek(begin)
+        self.redraw()
+        self.seek(float(flight.time_s[0]))
         self.play_or_pause()
 
-    def watch(self, vehicle: VehicleShape, size_m: float, palette: Palette) -> None:
-        """Prepare to show a flight in progress with `show_live`."""
-        self.close()
-        self._vehicle, self._unit_m, self._palette = vehicle, 0.012 * size_m, palette
-        self._view.draw(vehicle, self._unit_m, palette)
+    def close(self) -> None:
+        """Remove the flight."""
+        self._begun = self.flight = self._hit = None
+        self._controls.visible = False
+        self._title.content = block(line(_NO_FLIGHT, QUIET))
+        self._remove_charts()
+        self._view.remove()
 
-    def show_live(self, title: str, state: LiveState | None) -> None:
-        """Show the newest state of a flight in progress."""
-        rows = [line(title, strong=True)]
-        if state is None:
+    def redraw(self) -> None:
+        """Draw the vehicle and its path again, in the present colours."""
+        if self._scene is not None and (self.flight is not None or self._watched is not None):
+            path = None if self.flight is None else self.flight.position
+            self._view.draw(self._scene, self._page.palette, path)
+            self._remove_charts()
+            self._show(force=True)
+
+    def _report(self) -> None:
+        log = self._log
+        self._page.note("writing the report")
+
+        def show(text: str) -> None:
+            path = f"/report/{log.parent.name}"
+            self.reports[path] = text
+            for old in list(self.reports)[:-_REPORTS]:
+                del self.reports[old]
+            self._page.note("")
+            link = f'<a href="{html.escape(path)}" target="_blank">open the report</a>'
+            self._link.content, self._link.visible = block(link), True
+
+        self._page.in_background(lambda: flight_page(RecordedFlight.read(log)), show)
+
+    # --- a flight in progress -------------------------------------------------------------------------------
+
+    @property
+    def watch_label(self) -> str:
+        """The label of the button for `watch_or_stop`."""
+        return "Watch a flight in progress" if self._watched is None else "Stop watching"
+
+    def watch_or_stop(self) -> None:
+        """Begin to watch the flight that writes its log, or stop."""
+        if self._watched is not None:
+            self._watched = None
+            self._page.note("stopped watching")
+            self.close()
+            return
+        watched = WatchedFlight(growing_log(self._page.log_dir))
+        self._prepare(scene_of_mission(watched.mission))
+        self._watched = watched
+        self.redraw()
+
+    def _show_watched(self, watched: WatchedFlight) -> None:
+        try:
+            state = watched.update()
+        except InputError:
+            self._watched = None
+            raise
+        rows = [line(f"{watched.mission.name}, in progress", strong=True)]
+        if state.position is None or state.quaternion is None:
             rows.append(line("the mission frame is not known yet", QUIET))
         else:
-            with self._wiring.server.atomic():
+            with self._page.server.atomic():
                 self._view.place(np.array(state.position), state.quaternion, state.lock, state.force_n)
             force = math.hypot(*state.force_n)
             rows.append(line(f"{state.phase}, {state.speed_m_s:.2f} m/s, force {force:.0f} N, {state.lock}"))
             rows += [line(f"guard {state.guard}", NO_GO, strong=True)] if state.guard else []
         self._title.content = block(*rows)
-
-    def close(self) -> None:
-        """Remove the flight."""
-        self._begun = self._flight = self._hit = None
-        self._controls.visible = False
-        self._title.content = block(line(_NO_FLIGHT, QUIET))
-        for chart in self._charts:
-            chart.remove()
-        self._charts = []
-        self._view.remove()
-
-    def use_palette(self, palette: Palette) -> None:
-        self._palette = palette
-        if self._flight is not None:
-            self._draw()
-            self._show(force=True)
-
-    def _draw(self) -> None:
-        if self._flight is not None and self._vehicle is not None:
-            self._view.draw(self._vehicle, self._unit_m, self._palette, self._flight.position)
-
-    def show_report(self, path: str) -> None:
-        """Offer the page of the report."""
-        self._link.content = block(f'<a href="{html.escape(path)}" target="_blank">open the report</a>')
-        self._link.visible = True
-
-    def show_many(self, landed: Sequence[FlownOne]) -> None:
-        """Draw many flights as thin lines, in one object for each outcome, with a marker at each end."""
-        nodes: list[Node] = []
-        for outcome, colour in _OUTCOMES.items():
-            flights = [f for f in landed if f.outcome == outcome and len(f.path) > 1]
-            if not flights:
-                continue
-            lines = np.concatenate([np.stack([f.path[:-1], f.path[1:]], axis=1) for f in flights])
-            nodes.append(segments(f"/flights/{outcome}", lines, colour, 1.0))
-            nodes.append(self._ends(outcome, flights, colour))
-        self._canvas.draw("flights", nodes)
-
-    def _ends(self, outcome: str, flights: list[FlownOne], colour: Rgb) -> Node:
-        ball = _BALL * 0.7 * self._unit_m
-        props = {
-            "vertices": np.asarray(ball, dtype=np.float32),
-            "faces": _BALL_FACES,
-            "batched_wxyzs": np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(flights), 1)),
-            "batched_positions": np.array([f.path[-1] for f in flights], dtype=np.float32),
-            "batched_colors": colour,
-            "cast_shadow": False,
-        }
-
-        def attach(made: Any) -> None:
-            def clicked(event: Any) -> None:
-                if event.instance_index is not None and event.instance_index < len(flights):
-                    self._wiring.post(self._open_flight, flights[event.instance_index])
-
-            if not self._wiring.read_only:
-                made.on_click(clicked)
-
-        return Node("batched_meshes_simple", f"/flights/{outcome}_ends", props, attach)
+        if watched.ended is not None:
+            self._watched = None
+            self.play(watched.log)
 
     # --- time -----------------------------------------------------------------------------------------------
 
     def play_or_pause(self) -> None:
-        flight = self._flight
-        if flight is None:
+        if self.flight is None:
             return
         if self.is_playing:
             self._begun = None
         else:
-            if self.at_s >= float(flight.time_s[-1]) - 1e-3:
-                self.at_s = float(flight.time_s[0])
+            if self.at_s >= float(self._slider.max) - 1e-3:
+                self.at_s = float(self._slider.min)
             self._begun = (time.monotonic(), self.at_s)
         self._play.label = "Pause" if self.is_playing else "Play"
 
@@ -195,105 +201,96 @@ class Player:
 
     def jump_to_hit(self) -> None:
         """Go to shortly before the next hit, and pause there."""
-        hit = self._flight and self._flight.next_hit(self.at_s + _BEFORE_HIT_S)
-        if hit is None:
-            return
-        if self.is_playing:
-            self.play_or_pause()
-        self.seek(max(hit.at_s - _BEFORE_HIT_S, float(self._slider.min)))
+        hit = self.flight and self.flight.next_hit(self.at_s + _BEFORE_HIT_S)
+        if hit is not None:
+            if self.is_playing:
+                self.play_or_pause()
+            self.seek(max(hit.at_s - _BEFORE_HIT_S, float(self._slider.min)))
 
     def tick(self) -> None:
-        """Show the present time of a flight that plays."""
-        flight, begun = self._flight, self._begun
-        if flight is None or begun is None:
-            return
-        end = float(flight.time_s[-1])
-        self.at_s = begun[1] + (time.monotonic() - begun[0]) * float(self._speed.value)
-        if self.at_s >= end:
-            self.at_s = end
-            self.play_or_pause()
-        self._show(force=not self.is_playing)
+        """Show the present time of a flight that plays or is watched."""
+        if self._watched is not None:
+            if time.monotonic() - self._texted > _TEXT_S:
+                self._texted = time.monotonic()
+                self._show_watched(self._watched)
+        elif self._begun is not None:
+            begun_s, from_s = self._begun
+            self.at_s = from_s + (time.monotonic() - begun_s) * float(self._speed.value)
+            if self.at_s >= float(self._slider.max):
+                self.at_s = float(self._slider.max)
+                self.play_or_pause()
+            self._show(force=not self.is_playing)
 
     def _show(self, *, force: bool = False) -> None:
-        flight, at_s = self._flight, self.at_s
+        flight, at_s = self.flight, self.at_s
         if flight is None:
             return
-        position, quaternion = flight.frame(at_s)
-        state = value_at(flight.lock, at_s)
-        with self._wiring.server.atomic():
-            self._view.place(position, quaternion, state, flight.force_at(at_s), flight.setpoint_at(at_s))
+        arms, setpoint = value_at(flight.lock, at_s, ""), value_at(flight.setpoints, at_s, None)
+        with self._page.server.atomic():
+            self._view.place(*flight.frame(at_s), arms, flight.force_at(at_s), setpoint)
             self._slider.value = round(at_s, 2)
-        now = time.monotonic()
-        if force or now - self._texted > _TEXT_S:
-            self._texted = now
-            self._describe(flight, state)
+        if force or time.monotonic() - self._texted > _TEXT_S:
+            self._texted = time.monotonic()
+            self._describe(flight, arms)
 
-    def _describe(self, flight: Playback, state: str) -> None:
+    def _describe(self, flight: Playback, arms: str) -> None:
         at_s, hit = self.at_s, flight.hit_near(self.at_s)
         force = math.hypot(*flight.force_at(at_s))
         speed = float(np.interp(at_s, flight.time_s, flight.speed_m_s))
         rows = [
-            line(f"{at_s:.2f} s   {value_at(flight.phases, at_s)}", strong=True),
-            line(f"{speed:.2f} m/s, force {force:.0f} N" + (f", arms {state}" if state else "")),
+            line(f"{at_s:.2f} s   {value_at(flight.phases, at_s, '')}", strong=True),
+            line(f"{speed:.2f} m/s, force {force:.0f} N" + (f", arms {arms}" if arms else "")),
         ]
-        acted = [m for m in flight.guard if at_s - 1.5 <= m.at_s <= at_s]
-        rows += [line(f"guard {m.value}", NO_GO, strong=True) for m in acted]
+        acted = [what for since_s, what in flight.guard if at_s - _ACTED_S <= since_s <= at_s]
+        rows += [line(f"guard {what}", NO_GO, strong=True) for what in acted]
         if hit is not None:
             rows.append(line(f"hit {hit.number}, {hit.wall}: {hit.summary}", QUIET))
         self._status.content = block(*rows)
         if hit is not self._hit or not self._charts:
             self._hit = hit
-            self._chart(flight, hit)
+            self._show_charts(flight, hit)
 
-    def _chart(self, flight: Playback, hit: PlayedHit | None) -> None:
-        """Show the charts of a hit; the chart of the lock is that of the flight."""
-        wanted: list[tuple[str, str, tuple[Array, ...]]] = []
-        if hit is not None:
-            name = f"hit {hit.number}, {hit.wall}"
-            wanted += [
-                (f"normal force, N ({name})", "ms after detection", _series(hit.normal)),
-                (f"friction, N ({name})", "ms after detection", _series(hit.friction)),
-            ]
-        if flight.lock_chart is not None:
-            wanted.append(("lock: 0 flexible, 1 rigid", "s", tuple(flight.lock_chart)))
-        if len(wanted) == len(self._charts):
-            for chart, (title, _, data) in zip(self._charts, wanted, strict=True):
-                chart.title, chart.data = title, data
-            return
+    # --- charts ---------------------------------------------------------------------------------------------
+
+    def _remove_charts(self) -> None:
         for chart in self._charts:
             chart.remove()
-        with self._controls:
-            self._charts = [self._plot(i, *one) for i, one in enumerate(wanted)]
+        self._charts = []
 
-    def _plot(self, order: int, title: str, along: str, data: tuple[Array, ...]) -> Any:
-        styles = {
-            "planned": (PREDICTED["color"], 2.0),
-            "measured": (ESTIMATED["color"], 1.8),
-            "true": (TRUE["color"] if self._palette is LIGHT else "#f0f0f0", 1.2),
-        }
-        ink = "#333333" if self._palette is LIGHT else "#cccccc"
-        lines = [
-            uplot.Series(label=name, stroke=str(colour), width=width)
-            for name, (colour, width) in styles.items()
-        ]
-        return self._wiring.server.gui.add_uplot(
-            data,
+    def _show_charts(self, flight: Playback, hit: PlayedHit | None) -> None:
+        """Show the charts of a hit; the chart of the lock is that of the flight."""
+        wanted: list[tuple[str, str, Chart]] = []
+        if hit is not None:
+            name, along = f"hit {hit.number}, {hit.wall}", "ms after detection"
+            wanted += [
+                (f"normal force, N ({name})", along, hit.normal),
+                (f"friction, N ({name})", along, hit.friction),
+            ]
+        if flight.lock_chart is not None:
+            wanted.append(("lock: 0 flexible, 1 rigid", "s", flight.lock_chart))
+        if len(wanted) != len(self._charts):
+            self._remove_charts()
+            with self._controls:
+                self._charts = [self._plot(1000.0 + i, *one) for i, one in enumerate(wanted)]
+        for chart, (title, _, data) in zip(self._charts, wanted, strict=True):
+            chart.title, chart.data = title, tuple(data)
+
+    def _plot(self, order: float, title: str, along: str, data: Chart) -> Any:
+        light = self._page.palette is LIGHT
+        styles = (
+            ("planned", PREDICTED["color"], 2.0),
+            ("measured", ESTIMATED["color"], 1.8),
+            ("true", TRUE["color"] if light else "#f0f0f0", 1.2),
+        )
+        lines = [uplot.Series(label=name, stroke=str(colour), width=width) for name, colour, width in styles]
+        ink = "#333333" if light else "#cccccc"
+        return self._page.gui.add_uplot(
+            tuple(data),
             (uplot.Series(label=along), *lines),
             title=title,
             scales={"x": uplot.Scale(time=False)},
             axes=(uplot.Axis(stroke=ink), uplot.Axis(stroke=ink, size=42)),
             height=170,
             padding=(14, 10, 0, 0),
-            order=1000.0 + order,
+            order=order,
         )
-
-
-def _series(chart: ForceChart) -> tuple[Array, ...]:
-    return chart.time_ms, chart.planned, chart.measured, chart.true
-
-
-# An octahedron: enough for a marker.
-_BALL = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=float)
-_BALL_FACES = np.array(
-    [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)], dtype=np.uint32
-)

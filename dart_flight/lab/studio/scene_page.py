@@ -10,12 +10,11 @@ from typing import Any
 from dart_flight.config.document import InputError, report_write_errors
 from dart_flight.config.mission import Mission
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.studio.canvas import LIGHT, Canvas, Node
+from dart_flight.lab.studio.canvas import LIGHT, Canvas, label
 from dart_flight.lab.studio.page_server import LOCAL, open_server, stop_server
 from dart_flight.lab.studio.playback import playback_of, value_at
-from dart_flight.lab.studio.room_view import RoomView
+from dart_flight.lab.studio.room_view import RoomView, VehicleView
 from dart_flight.lab.studio.scene_model import Scene, scene_of_mission
-from dart_flight.lab.studio.vehicle_view import VehicleView
 from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.reader import Log
 
@@ -46,25 +45,22 @@ def flight_scene(log: Log) -> Iterator[Any]:
         raise InputError("the log contains no motion in the air", source=log.source)
     scene = scene_of_mission(flight.mission, flight.planned)
     with _stage(scene) as (server, canvas):
-        (x0, y0, _), (x1, y1, _) = scene.bounds
-        vehicle, unit_m = VehicleView(canvas), 0.012 * max(x1 - x0, y1 - y0)
-        vehicle.draw(scene.vehicle, unit_m, LIGHT, playback.position)
-        canvas.draw(
-            "caption",
-            [Node("label", "/caption", {"text": "", "position": (x0, y1 + 4.0 * unit_m, 0.0)})],
-        )
+        vehicle = VehicleView(canvas)
+        vehicle.draw(scene, LIGHT, playback.position)
+        above = scene.bounds.y[1] + 0.05 * scene.size_m
+        canvas.draw("caption", [label("/caption", "", (scene.bounds.x[0], above, 0.0))])
         caption, captioned_s = canvas.handle("caption", "/caption"), -1.0
         serializer, before_s = server.get_scene_serializer(), float(playback.time_s[0])
         for at in playback.time_s:
             at_s = float(at)
             serializer.insert_sleep(at_s - before_s)
-            before_s, arms = at_s, value_at(playback.lock, at_s)
+            before_s, arms = at_s, value_at(playback.lock, at_s, "")
             position, quaternion = playback.frame(at_s)
-            force, setpoint = playback.force_at(at_s), playback.setpoint_at(at_s)
+            force, setpoint = playback.force_at(at_s), value_at(playback.setpoints, at_s, None)
             vehicle.place(position, quaternion, arms, force, setpoint)
             if at_s - captioned_s > _CAPTION_S:
                 captioned_s = at_s
-                caption.text = f"{at_s:.1f} s  {value_at(playback.phases, at_s)}  {arms}"
+                caption.text = f"{at_s:.1f} s  {value_at(playback.phases, at_s, '')}  {arms}"
         yield serializer
 
 
@@ -72,9 +68,8 @@ def flight_scene(log: Log) -> Iterator[Any]:
 def _stage(scene: Scene) -> Iterator[tuple[Any, Canvas]]:
     server = open_server(LOCAL, 0, "")
     try:
-        server.scene.configure_default_lights(True, cast_shadow=False)
         canvas = Canvas(server)
-        RoomView(server, canvas, None, lambda object_id: None).show(scene, {}, None, editable=False)
+        RoomView(server, canvas).show(scene, LIGHT, {})
         yield server, canvas
     finally:
         stop_server(server)

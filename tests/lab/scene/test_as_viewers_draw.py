@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import given
 
-from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, rotate
+from dart_flight.base.geometry import MissionFrame, Quaternion, Vec3, attitude_in, rotate
 from dart_flight.config.vehicle import load_vehicle, packaged
-from dart_flight.lab.scene.translation import attitude_in, locked_fraction
+from dart_flight.lab.scene.translation import locked_fraction
 from tests.base.test_geometry import frames, rotations, vectors
 
 

@@ -41,7 +41,7 @@ def one_edit(draw: st.DrawFn, opened: OpenFile) -> Edit:
     ]
     if walls:
         wall = st.sampled_from(walls)
-        shown = st.sampled_from([shape.name for shape in scene.walls])
+        shown = st.sampled_from([shape.drawn.plane.name for shape in scene.walls])
         choices += [
             st.builds(edits.drag, wall, _POINTS, st.floats(-math.pi, math.pi)),
             st.builds(edits.turn_wall, wall, st.sampled_from([0.0, 5.0, 90.0, -135.0])),
@@ -50,13 +50,13 @@ def one_edit(draw: st.DrawFn, opened: OpenFile) -> Edit:
             st.builds(edits.delete, wall),
             st.builds(edits.add_hit, shown, st.sampled_from([None, -0.8])),
         ]
-    ids = [*(place.id for place in scene.places), *(hit.id for hit in scene.hits)]
+    ids = [*(place.id for place in scene.places), *(f"hit/{hit.number - 1}" for hit in scene.hits)]
     numbered = [one for one in ids if "/" in one]
     if numbered:
         choices += [st.builds(kind, st.sampled_from(numbered)) for kind in (edits.copy_object, edits.delete)]
     if scene.hits:
-        number = st.sampled_from([hit.number for hit in scene.hits])
-        choices.append(st.builds(edits.set_hit, number, normal_m_s=st.sampled_from([-0.5, -1.25])))
+        keys = [("collisions", hit.number - 1, "approach", "normal_m_s") for hit in scene.hits]
+        choices.append(st.builds(edits.set_value, st.sampled_from(keys), st.sampled_from([-0.5, -1.25])))
     place = edits.add_waypoint if opened.kind is StudioKind.MISSION else edits.add_visit
     edit: Edit = draw(st.one_of(*choices, st.builds(place, _POINTS)))
     return edit

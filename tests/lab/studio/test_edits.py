@@ -12,6 +12,7 @@ from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import parse_mission
 from dart_flight.lab.search.scenario import Objective, Scenario, parse_scenario
 from dart_flight.lab.studio import edits
+from dart_flight.lab.studio.fields import fields_of
 from dart_flight.lab.studio.open_file import Edit, OpenFile
 from tests.lab.studio.files import DUAL, ROOT
 
@@ -112,13 +113,23 @@ def test_waypoints_stay_between_the_same_hits() -> None:
     assert more == [n + 1 for n in before]
 
 
-def test_hits_are_added_and_changed() -> None:
-    tree = after(DUAL, edits.add_hit("wood", -0.7, mode="rigid"), edits.set_hit(1, tangential_m_s=0.5))
+def test_hits_are_added() -> None:
+    tree = after(DUAL, edits.add_hit("wood", -0.7))
     assert tree["collisions"][2]["approach"] == {"normal_m_s": -0.7, "tangential_m_s": 0.0}
-    assert tree["collisions"][0]["approach"] == {"normal_m_s": -1.05, "tangential_m_s": 0.5}
-    with pytest.raises(InputError, match="hit 2 has no approach"):
-        after(DUAL, edits.set_hit(2, tangential_m_s=0.5))
     assert after(SCENARIO, edits.add_hit("wood"))["sequence"] == ["wood", "acrylic", "wood"]
+
+
+def test_each_field_of_each_object_sets_its_value() -> None:
+    for path, object_id in ((DUAL, "wall/wood"), (DUAL, "hit/0"), (DUAL, "corner/0"), (SQUARE, "waypoint/0")):
+        opened = OpenFile.load(path)
+        fields = fields_of(opened.tree, object_id, ["wood", "acrylic"], ["rigid", "flexible"])
+        for i, field in enumerate(fields):
+            if field.label == "name":
+                continue
+            other = 2.0 if isinstance(field.value, float) else field.options[-1]
+            opened.edit(field.edit(other))
+            assert fields_of(opened.tree, object_id, ["wood", "acrylic"], ["rigid"])[i].value == other
+            opened.undo()
 
 
 def test_waypoints_and_visits_are_added_where_they_are_flown() -> None:

@@ -17,25 +17,22 @@ from dart_flight.base.records import AfterImpact
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.check.findings import decide
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.mission import load_mission, parse_mission
-from dart_flight.lab.search.scenario import load_scenario
+from dart_flight.config.mission import Mission, load_mission, parse_mission
+from dart_flight.lab.search.scenario import parse_scenario
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.engine import (
+    AllFlown,
     Checked,
-    CheckQuery,
     Engine,
-    EngineDied,
     EngineEvent,
-    EngineReady,
-    FlightsFlown,
-    FlightsQuery,
+    EngineRequest,
+    Failed,
     FlownOne,
-    FlyProgress,
     FlyRequest,
     Planned,
-    PlanQuery,
+    Progress,
 )
-from dart_flight.lab.studio.engine_work import check, fly, plan
+from dart_flight.lab.studio.engine_work import answer, check, plan
 from dart_flight.lab.studio.open_file import OpenFile, StudioKind
 from dart_flight.recording.reader import read_log
 from dart_flight.run.fast import fly_fast
@@ -44,64 +41,65 @@ from tests.lab.studio.files import DUAL, FILES, ROOT, name_of, one_edit, try_edi
 SQUARE = ROOT / "missions" / "square.yaml"
 ONE_WALL = ROOT / "missions" / "scenarios" / "one_wall.yaml"
 PATIENCE_S = 120.0
-E_ = TypeVar("E_", bound=EngineEvent)
+W = TypeVar("W")
 
 
 class Page:
     """An engine, and its events in order."""
 
-    def __init__(self, path: Path, folder: Path) -> None:
+    def __init__(self, folder: Path) -> None:
         self.events: queue.Queue[EngineEvent] = queue.Queue()
-        self.engine = Engine(path, self.events.put, folder)
+        self.engine = Engine(self.events.put, folder)
 
-    def wait_for(self, kind: type[E_], number: int | None = None) -> E_:
+    def wait_for(self, kind: type[W], number: int) -> W:
         end_s = time.monotonic() + PATIENCE_S
         while True:
             event = self.events.get(timeout=max(0.1, end_s - time.monotonic()))
-            if isinstance(event, kind) and number in (None, event.number):
-                return event
+            if isinstance(event.what, kind) and event.number == number:
+                return event.what
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    opened = Page(DUAL, tmp_path_factory.mktemp("logs"))
+    opened = Page(tmp_path_factory.mktemp("logs"))
     yield opened
     opened.engine.close()
 
 
+def ignore(progress: Progress) -> None:
+    """Ignore the progress of a request."""
+
+
 def checked(text: str, path: Path = DUAL) -> Checked:
-    return check(CheckQuery(1, str(path), text))
+    return check(text, str(path), ignore)
 
 
-def file_stage(path: Path) -> bool:
+def file_stage(mission: Mission) -> bool:
     """Return what `check` decides on a file, from its stage `file`."""
-    mission = load_mission(path)
     return decide(mission, run_checks(FlightContext(mission), Stage.FILE)).go
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
 def test_each_shipped_file_is_go_on_the_page_as_on_the_command_line(path: Path) -> None:
     found = checked(path.read_text("utf-8"), path)
-    assert found.go == (path.parent.name == "scenarios" or file_stage(path))
+    assert found.go == (path.parent.name == "scenarios" or file_stage(load_mission(path)))
     assert found.scene is not None
     assert found.stale is None
 
 
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
-def test_what_the_page_shows_as_go_check_calls_go(
-    data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_what_the_page_shows_as_go_check_calls_go(data: st.DataObject) -> None:
     opened = OpenFile.load(data.draw(st.sampled_from(FILES)))
     for _ in range(data.draw(st.integers(1, 3))):
         try_edit(opened, data.draw(one_edit(opened)))
     shown = checked(opened.text, opened.path)
-    opened.save(tmp_path_factory.mktemp("saved") / "room.yaml")
+    document, go, problem = Document(opened.text, str(opened.path)), True, ""
     try:
-        go = (
-            file_stage(opened.path) if opened.kind is StudioKind.MISSION else bool(load_scenario(opened.path))
-        )
-        problem = ""
+        if opened.kind is StudioKind.MISSION:
+            go = file_stage(parse_mission(document))
+        else:
+            parse_scenario(document)
     except InputError as error:
         go, problem = False, error.message
     assert shown.go == go
@@ -115,7 +113,7 @@ def test_an_error_is_at_its_object() -> None:
         (("position_m: [1.0, -0.5]", "position_m: [9.0, 0.0]"), "goal"),
     ):
         (finding,) = checked(DUAL.read_text().replace(*change)).findings
-        assert (finding.item, finding.word, finding.object) == ("file", "error", wanted)
+        assert (finding.item, finding.go, finding.objects) == ("file", False, [wanted])
 
 
 def test_a_no_go_is_at_its_object() -> None:
@@ -125,7 +123,6 @@ def test_a_no_go_is_at_its_object() -> None:
     assert not found.go
     bad = {finding.item: finding for finding in found.findings if not finding.go}
     assert bad["goal_clearance"].objects == ["goal", "wall/wood"]
-    assert bad["goal_clearance"].word == "NO-GO"
 
 
 def test_a_planned_mission_whose_wall_moved_is_stale() -> None:
@@ -138,32 +135,30 @@ def test_a_planned_mission_whose_wall_moved_is_stale() -> None:
 
 
 def test_a_plan_is_a_mission_beside_the_scenario() -> None:
-    found = plan(PlanQuery(1, str(ONE_WALL), ONE_WALL.read_text(), None, 60.0, 3), lambda event: None)
-    assert found.error is None
-    assert [row.rank for row in found.plans] == [1, 2, 3]
+    found = plan(ONE_WALL.read_text(), str(ONE_WALL), ignore, None, 60.0)
+    assert [row.rank for row in found.plans] == [*range(1, 11), 0][: len(found.plans)]
     assert found.refused
-    assert found.refused.keys() == found.advice.keys()
     mission = parse_mission(Document(found.plans[0].mission, str(ONE_WALL)))
     assert mission.collisions[0].wall.name == "acrylic"
     assert found.plans[0].paths
-    for row in found.plans:
+    for row in found.plans[:3]:
         again = checked(row.mission, ONE_WALL)
-        assert row.go == again.go
-        assert row.problem in {"", *(finding.message for finding in again.findings)}
+        assert again.go == (not row.problem)
+        assert row.problem in {"", *(f"no-go: {finding.message}" for finding in again.findings)}
 
 
 def test_a_mission_whose_wall_has_moved_is_planned_again_with_its_other_keys() -> None:
     opened = OpenFile.load(DUAL)
     opened.edit(edits.move("wall/acrylic", (1.85, 0.0)))
     text = yaml.safe_dump(edits.scenario_of(opened.tree, "again"))
-    row = plan(PlanQuery(1, str(DUAL), text, None, 60.0, 1), lambda event: None).plans[0]
+    row = plan(text, str(DUAL), ignore, None, 60.0).plans[0]
     opened.edit(edits.use_plan(row.mission, 1))
     mission = parse_mission(Document(opened.text, str(DUAL)))
     assert [collision.wall.name for collision in mission.collisions] == ["wood", "acrylic"]
     assert mission.after_impact is AfterImpact.REPLAN
     assert "after_impact: replan\n" in opened.text
     found = checked(opened.text)
-    assert found.go == row.go
+    assert found.go == (not row.problem)
     assert found.stale is None
     opened.edit(edits.move("wall/acrylic", (1.65, 0.0)))
     assert checked(opened.text).stale is not None
@@ -171,35 +166,31 @@ def test_a_mission_whose_wall_has_moved_is_planned_again_with_its_other_keys() -
 
 def test_a_scenario_without_a_plan_says_why() -> None:
     text = ONE_WALL.read_text().replace("peak_force_n: 120.0", "peak_force_n: 1.0")
-    found = plan(PlanQuery(1, str(ONE_WALL), text, None, 60.0, 3), lambda event: None)
-    assert not found.plans
-    assert found.error is not None
-    assert "peak" in found.error
+    found = answer(EngineRequest(1, "plan", text, str(ONE_WALL), (None, 60.0)), ignore)
+    assert isinstance(found, Failed)
+    assert "peak" in found.message
 
 
 def test_the_objective_of_the_page_replaces_the_scenario_s() -> None:
-    text = ONE_WALL.read_text()
-    found = plan(PlanQuery(1, str(ONE_WALL), text, "gentlest", 60.0, 1), lambda event: None)
+    found = plan(ONE_WALL.read_text(), str(ONE_WALL), ignore, "gentlest", 60.0)
     assert "objective gentlest" in found.plans[0].mission
 
 
 def flown(
     text: str, request: FlyRequest, folder: Path, path: Path = DUAL
-) -> tuple[FlightsFlown, list[FlownOne]]:
+) -> tuple[AllFlown | Failed, list[FlownOne]]:
     landed: list[FlownOne] = []
-
-    def emit(event: EngineEvent) -> None:
-        landed.extend(event.landed if isinstance(event, FlyProgress) else [])
-
-    return fly(FlightsQuery(1, str(path), text, request, str(folder)), emit), landed
+    wanted = EngineRequest(1, "fly", text, str(path), (request, str(folder)))
+    end = answer(wanted, lambda progress: landed.extend(progress.landed))
+    assert isinstance(end, AllFlown | Failed)
+    return end, landed
 
 
 def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> None:
     end, (one,) = flown(DUAL.read_text(), FlyRequest(seed=3), tmp_path)
     verdict = fly_fast(load_mission(DUAL), 3, None)
-    assert end.summary == "seed 3 completed"
-    assert (one.outcome, one.goal_miss_m) == (verdict.outcome.value, verdict.goal_miss_m)
-    assert len(one.hits) == len(verdict.collisions) == 2
+    assert isinstance(end, AllFlown)
+    assert (one.seed, one.outcome, one.reason) == (3, verdict.outcome.value, verdict.reason)
     assert one.path.shape[1] == 3
     assert one.log is not None
     assert read_log(Path(one.log)).complete
@@ -215,21 +206,21 @@ def test_a_flight_is_that_of_the_fast_world_and_has_a_log(tmp_path: Path) -> Non
 )
 def test_what_cannot_be_flown_says_why(request_: FlyRequest, problem: str, tmp_path: Path) -> None:
     end, landed = flown(DUAL.read_text(), request_, tmp_path)
-    assert end.error is not None
-    assert problem in end.error
+    assert isinstance(end, Failed)
+    assert problem in end.message
     assert not landed
 
 
 def test_an_unwritable_folder_of_logs_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("a file")
     end, _ = flown(SQUARE.read_text(), FlyRequest(), tmp_path / "logs", SQUARE)
-    assert end.error is not None
-    assert "\n" not in end.error
+    assert isinstance(end, Failed)
+    assert "\n" not in end.message
 
 
 def test_the_page_s_checks_come_from_a_process(page: Page) -> None:
     text = DUAL.read_text()
-    numbers = [page.engine.check(text) for _ in range(20)]
+    numbers = [page.engine.check(text, DUAL) for _ in range(20)]
     last = page.wait_for(Checked, numbers[-1])
     assert last.go
     assert last.materials == ["concrete", "acrylic", "wood"]
@@ -240,49 +231,41 @@ def test_the_page_s_checks_come_from_a_process(page: Page) -> None:
 
 def test_many_flights_progress_in_worker_processes_and_are_cancelled(page: Page) -> None:
     text = SQUARE.read_text()
-    page.engine.path = SQUARE
-    number = page.engine.fly(text, FlyRequest(flights=2, vary=("all",), log=False))
-    assert page.wait_for(FlightsFlown, number).done == 2
-    number = page.engine.fly(text, FlyRequest(flights=1000, log=False))
-    page.wait_for(FlyProgress, number)
-    began_s = time.monotonic()
+    number = page.engine.fly(text, SQUARE, FlyRequest(flights=2, vary=("all",), log=False))
+    assert page.wait_for(AllFlown, number) == AllFlown()
+    number = page.engine.fly(text, SQUARE, FlyRequest(flights=1000, log=False))
+    page.wait_for(Progress, number)
     page.engine.cancel()
-    end = page.wait_for(FlightsFlown, number)
-    assert time.monotonic() - began_s < 1.0
-    assert end.cancelled
-    assert end.summary.startswith("cancelled after")
-    page.engine.path = DUAL
+    assert page.wait_for(Failed, number).cancelled
 
 
 def test_a_plan_is_cancelled_and_the_next_one_runs(page: Page) -> None:
-    page.engine.path = ONE_WALL
-    first = page.engine.plan(ONE_WALL.read_text())
-    second = page.engine.plan(ONE_WALL.read_text(), top=1)
-    assert page.wait_for(Planned, first).cancelled
-    assert len(page.wait_for(Planned, second).plans) == 1
-    page.engine.path = DUAL
+    first = page.engine.plan(ONE_WALL.read_text(), ONE_WALL)
+    second = page.engine.plan(ONE_WALL.read_text(), ONE_WALL)
+    assert page.wait_for(Failed, first).cancelled
+    assert page.wait_for(Planned, second).plans
 
 
-def test_a_process_that_dies_is_started_again_and_its_check_is_repeated(page: Page) -> None:
+def test_a_process_that_dies_is_started_again(page: Page) -> None:
+    number = page.engine.check(DUAL.read_text(), DUAL)
+    page.wait_for(Checked, number)
     process = page.engine._checker._process
     assert process is not None
     process.kill()
-    number = page.engine.check(DUAL.read_text())
-    died = page.wait_for(EngineDied)
+    died = page.wait_for(Failed, 0)
     assert died.message == "the process that checks ended unexpectedly; it was started again"
+    number = page.engine.check(DUAL.read_text(), DUAL)
     assert page.wait_for(Checked, number).go
 
 
 def test_a_planner_that_dies_ends_its_plan_with_a_reason(page: Page) -> None:
     scenario = ROOT / "missions" / "scenarios" / "shuttle.yaml"
-    page.engine.path = scenario
-    number = page.engine.plan(scenario.read_text())
+    number = page.engine.plan(scenario.read_text(), scenario)
     process = page.engine._worker._process
     assert process is not None
     process.kill()
-    page.wait_for(EngineDied)
-    end = page.wait_for(Planned, number)
-    assert end.error == "the process that plans and flies ended unexpectedly"
+    end = page.wait_for(Failed, number)
+    assert end.message.startswith("the process that plans and flies ended unexpectedly")
     assert not end.cancelled
-    page.wait_for(EngineReady)
-    page.engine.path = DUAL
+    number = page.engine.plan(ONE_WALL.read_text(), ONE_WALL)
+    assert page.wait_for(Planned, number).plans

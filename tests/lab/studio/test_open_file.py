@@ -10,7 +10,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dart_flight.config.document import Document, InputError
-from dart_flight.config.mission import load_mission
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.open_file import DiskState, OpenFile, StudioKind
 from tests.lab.studio.files import DUAL, FILES, MISSIONS, name_of, one_edit, try_edit
@@ -136,15 +135,6 @@ def test_a_failed_save_loses_neither_file_nor_edit(opened: OpenFile, monkeypatch
         opened.save()
     assert opened.is_changed
     assert opened.path.read_text() == opened.saved
-
-
-def test_another_name_in_another_folder_keeps_the_vehicle(opened: OpenFile, tmp_path: Path) -> None:
-    opened = OpenFile.load(DUAL)
-    (tmp_path / "deep").mkdir()
-    opened.save(tmp_path / "deep" / "mine.yaml")
-    assert load_mission(tmp_path / "deep" / "mine.yaml").digest == load_mission(DUAL).digest
-    assert not opened.is_changed
-    assert opened.path.name == "mine.yaml"
 
 
 def test_a_new_file_is_unsaved_until_it_is_saved(tmp_path: Path) -> None:

@@ -20,9 +20,9 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="the tests of the p
 
 from dart_flight.config.vehicle import packaged  # noqa: E402
 from dart_flight.lab.studio.open_file import OpenFile  # noqa: E402
-from dart_flight.lab.studio.panels import distinct  # noqa: E402
 from dart_flight.lab.studio.scene_model import WallShape  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
+from dart_flight.lab.studio.studio_page import distinct  # noqa: E402
 
 LAUNCH = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 WAIT_MS = 20_000
@@ -117,16 +117,18 @@ def until(condition: Any, timeout_s: float = 20.0) -> None:
 
 
 def wall_of(at: Shown, name: str) -> WallShape:
-    scene = at.studio._scene
+    scene = at.studio.page.scene
     assert scene is not None
-    return next(wall for wall in scene.walls if wall.name == name)
+    return next(wall for wall in scene.walls if wall.id == f"wall/{name}")
 
 
 def grip_of(at: Shown, wall: WallShape) -> tuple[float, float]:
     """Return a pixel on top of a wall's solid, away from its knob."""
-    x, y = wall.outline.mean(axis=0)
+    x, y = wall.drawn.outline.mean(axis=0)
     along = (-math.sin(wall.yaw_rad), math.cos(wall.yaw_rad))
-    return at.pixel_of(x + 0.5 * along[0], y + 0.5 * along[1], wall.height_m)
+    scene = at.studio.page.scene
+    assert scene is not None
+    return at.pixel_of(x + 0.5 * along[0], y + 0.5 * along[1], scene.bounds.z[1])
 
 
 def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, room: Path) -> None:
@@ -134,11 +136,11 @@ def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, roo
     before = path.read_bytes()
     with shown(browser, OpenFile.load(path), room / "flights") as at:
         at.wait_for(re.compile("^go$"))
-        file = at.studio._file
+        file = at.studio.page.file
         assert file is not None
         wall = wall_of(at, "acrylic")
         begin = grip_of(at, wall)
-        beside = at.pixel_of(wall.centre[0] - 0.8, wall.centre[1], 1.0)[0] - at.pixel_of(*wall.centre, 1.0)[0]
+        beside = at.pixel_of(-0.8, 0.0, 1.0)[0] - at.pixel_of(0.0, 0.0, 1.0)[0]
         at.drag(begin, (begin[0] + beside, begin[1]))
         until(lambda: file.is_changed)
         x, y = file.tree["walls"]["acrylic"]["point_m"]
@@ -173,7 +175,7 @@ def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
         path.write_text(text.replace("length_m: 3.0", "length_m: 2.5"))
         at.wait_for(re.compile("reloaded from the disk"))
         at.number("altitude, m").fill("1.1")
-        file = at.studio._file
+        file = at.studio.page.file
         assert file is not None
         until(lambda: "altitude_m: 1.1" in file.text)
         path.write_text("walls: {")  # not YAML any more
@@ -212,16 +214,16 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
         at.tab("Fly")
         at.button("Fly").click()
         at.wait_for(re.compile("completed"))
-        until(lambda: at.studio._player.is_playing)
+        until(lambda: at.studio.player.is_playing)
         at.button("Pause").click()
         at.button("Next hit").click()
         at.wait_for(re.compile("normal force"))
-        hit = at.studio._player._flight.hits[0]  # type: ignore[union-attr]
-        until(lambda: abs(at.studio._player.at_s - (hit.at_s - 0.3)) < 0.05)
+        hit = at.studio.player.flight.hits[0]  # type: ignore[union-attr]
+        until(lambda: abs(at.studio.player.at_s - (hit.at_s - 0.3)) < 0.05)
         at.number("speed").fill("4")
         at.button("Play").click()
-        end = at.studio._player._flight.time_s[-1]  # type: ignore[union-attr]
-        until(lambda: at.studio._player.at_s == end)
+        end = at.studio.player.flight.time_s[-1]  # type: ignore[union-attr]
+        until(lambda: at.studio.player.at_s == end)
         at.button("Report").click()
         at.wait_for("open the report")
         (log,) = (room / "flights").glob("*/flight.mcap")
@@ -229,9 +231,9 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
     for logs in ([log], [log, room / "again/flight.mcap"]):  # the same flight, from its file, and twice
         with shown(browser, logs, room / "flights") as at:
             at.wait_for(re.compile("completed"))
-            until(lambda at=at: at.studio._player.is_playing)
+            until(lambda at=at: at.studio.player.is_playing)
             if len(logs) > 1:
-                at.wait_for("100 % completed")
+                at.wait_for(re.compile("100 %"))
 
 
 @pytest.mark.rest
@@ -239,12 +241,12 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
         at.number("flights").fill("4")
-        at.number("vary").fill("all")
+        at.choose("vary", "all")
         at.button("Fly").click()
-        at.wait_for(re.compile("% completed"))
-        assert len(at.studio._fly.landed) == 4  # type: ignore[union-attr]
+        at.wait_for(re.compile("4 of 4 flights completed|[0-3] of 4 flights completed:"))
+        assert len(at.studio.flights.landed) == 4
         at.button("Open this flight").click()
-        until(lambda: at.studio._player.is_playing)
+        until(lambda: at.studio.player.is_playing)
         at.number("flights").fill("1000")
         at.button("Fly").click()
         at.wait_for(re.compile("of 1000 flights"))

@@ -1,5 +1,6 @@
 """A recorded flight as data of the player, and a flight in progress through its growing log."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import load_mission
 from dart_flight.lab.report.recorded_flight import RecordedFlight
-from dart_flight.lab.studio.playback import Playback, playback_of, quaternions, value_at
+from dart_flight.lab.report.tracks import angles
+from dart_flight.lab.studio.playback import Playback, playback_of, value_at
 from dart_flight.lab.studio.watching import WatchedFlight, growing_log
 from dart_flight.run.fast import fly_fast
 from tests.lab.studio.files import DUAL
@@ -61,20 +63,17 @@ def test_the_chart_of_the_lock_agrees_with_the_simulated_arms_at_each_hit(playba
     chart = playback.lock_chart
     assert chart is not None
     for hit in playback.hits:
-        at = int(np.searchsorted(chart.time_s, hit.at_s)) - 1
+        at = int(np.searchsorted(chart.time, hit.at_s)) - 1
         assert chart.planned[at] == chart.measured[at] == chart.true[at]
-        assert value_at(playback.lock, hit.at_s) == hit.summary.split(",")[0]
+        assert value_at(playback.lock, hit.at_s, "") == hit.summary.split(",")[0]
 
 
-def test_quaternions_turn_the_axes_of_the_vehicle() -> None:
-    yaw, pitch, roll = (np.array([a]) for a in (0.5, 0.2, -0.1))
-    w, x, y, z = quaternions(yaw, pitch, roll)[0]
-    forward = (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y))
-    left = (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x))
-    up_z = 1 - 2 * (x * x + y * y)
-    assert np.arctan2(forward[1], forward[0]) == pytest.approx(0.5)
-    assert np.arcsin(forward[2]) == pytest.approx(0.2)  # nose up
-    assert np.arctan2(left[2], up_z) == pytest.approx(-0.1)
+def test_the_nose_of_the_vehicle_goes_up_with_the_pitch(flight: RecordedFlight, playback: Playback) -> None:
+    true = angles(flight.course, true=True)
+    for at_s in playback.time_s[:: len(playback.time_s) // 20]:
+        w, x, y, z = playback.frame(float(at_s))[1]
+        up = math.asin(2 * (x * z - w * y))
+        assert up == pytest.approx(np.interp(at_s, true.time_s, true.pitch), abs=0.01)
 
 
 def test_a_growing_log_is_followed_to_its_end(log: Path, playback: Playback, tmp_path: Path) -> None:
@@ -92,7 +91,10 @@ def test_a_growing_log_is_followed_to_its_end(log: Path, playback: Playback, tmp
         file.write(data[len(data) // 2 :])
     state = watched.update()
     assert watched.ended == "completed"
-    assert state is not None
+    assert state.position is not None
+    assert state.quaternion is not None
+    forward_up = 2 * (state.quaternion[1] * state.quaternion[3] - state.quaternion[0] * state.quaternion[2])
+    assert abs(forward_up) < 0.1  # it stands
     assert state.position[:2] == pytest.approx(playback.position[-1][:2], abs=0.2)
     assert state.phase == "done"
     assert state.lock in ("rigid", "flexible")

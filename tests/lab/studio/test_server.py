@@ -108,12 +108,12 @@ studio = Studio(opened, studio_command.Path("flights"), ("127.0.0.1", 0))
 thread = threading.Thread(target=studio.run)
 thread.start()
 for _ in range(600):
-    if studio._checked is not None:
+    if studio.checked is not None:
         break
     thread.join(0.1)
 studio.stop()
 thread.join()
-assert studio._checked is not None and studio._checked.go, studio._checked
+assert studio.checked is not None and studio.checked.go, studio.checked
 found = [m for m in sys.modules if m.split(".")[0] == "mavsdk" or m.startswith("dart_flight.vehicle")]
 print("loaded:", found)
 """
