@@ -2,9 +2,9 @@
 
     ROTORPY=PYTHON python -m tools.bench stepwise
 
-PYTHON is the interpreter of a virtual environment with rotorpy. Without it, rotorpy is left out. A step here is 0.04 s of flight: 40 steps
-of the plant, and 10 of sensors, estimator, autopilot and force estimator. The figures are processor time
-without resets, and are in docs/results/stepping.md.
+PYTHON is the interpreter of a virtual environment with rotorpy. Without it, rotorpy is left out. A step here
+is 0.04 s of flight: 40 steps of the plant, and 10 of sensors, estimator, autopilot and force estimator. The
+figures are processor time without resets, and are in docs/results/stepping.md.
 """
 
 from __future__ import annotations

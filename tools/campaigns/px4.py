@@ -57,7 +57,12 @@ def fly(point: Point, seed: int) -> Px4Flight:
     source = PositionSource(point.case["position_from"])
     with tempfile.TemporaryDirectory() as folder:
         px4 = point.case.get("px4", os.environ[ENVIRONMENT])
-        v = fly_px4(point.mission, px4, seed, Path(folder), position_from=source, spreads=point.spreads)
+        file = Path(folder) / "case.params"
+        file.write_text(point.case.get("parameter", ""))
+        v = fly_px4(
+            point.mission, px4, seed, Path(folder) / "log",
+            position_from=source, spreads=point.spreads, parameter_files=(file,),
+        )  # fmt: skip
     return Px4Flight(
         version=v.px4.version if v.px4 else None,
         outcome=v.outcome.value,
