@@ -18,7 +18,7 @@ def functions_of(path: Path) -> set[str]:
     tree = ast.parse(path.read_text("utf-8"))
     found = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    return found | {alias.name for node in imports for alias in node.names}
+    return found | {alias.asname or alias.name for node in imports for alias in node.names}
 
 
 @pytest.mark.parametrize("path", SPECIFICATIONS, ids=lambda path: path.stem)

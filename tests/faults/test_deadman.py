@@ -11,19 +11,16 @@ import textwrap
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from dart_flight.run.deadman import Deadman, SystemdNotice
-from tests.doubles.ports import free_udp_port
-from tests.real_time import LATENESS_RULES, TooSlow, assert_below, run_within
+from tests.faults.deadman_flights import FAULTS, last_setpoint_s
+from tests.real_time import assert_below
 
 ROOT = Path(__file__).parents[2]
-NEAR = str(ROOT / "tests/data/near_wall.yaml")
 STARVE_S = 0.3
-SET_POSITION_TARGET = 84  # MAVLink
 
 PROGRAM = """
 import sys, time
@@ -298,51 +295,8 @@ def test_flight_code_never_reads_the_time_of_day() -> None:
 # --- in flight ---------------------------------------------------------------------------------------------
 
 
-@contextmanager
-def vehicle_behind_proxy(record: Path) -> Iterator[str]:
-    """Run a simulated vehicle and a recording proxy, and yield the URL for the app."""
-    near, far = free_udp_port(), free_udp_port()
-    proxy = subprocess.Popen(
-        [
-            *(sys.executable, "-m", "tools.lossy_proxy"),
-            *("--listen", str(far), "--to", str(near), "--record", str(record)),
-        ],
-        cwd=ROOT,
-    )
-    vehicle = subprocess.Popen(
-        [sys.executable, "-m", "dart_flight", "simulate", NEAR, "--port", str(far)],
-        cwd=ROOT,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        yield f"udpin://127.0.0.1:{near}"
-    finally:
-        for process in (vehicle, proxy):
-            process.terminate()
-            process.wait(10)
-
-
 @pytest.mark.realtime
 @pytest.mark.mavlink
-@pytest.mark.parametrize("fault", ["hang-core", "hang-loop", "hang-lock", "sigstop", "sigkill"])
+@pytest.mark.parametrize("fault", FAULTS)
 def test_setpoints_stop_on_the_wire_within_half_a_second(fault: str, tmp_path: Path) -> None:
-    record = tmp_path / "wire.csv"
-    with vehicle_behind_proxy(record) as url:
-        program = [sys.executable, str(Path(__file__).with_name("sabotaged_flight.py"))]
-        fly = [*program, NEAR, url, str(tmp_path), f"{fault}@approach"]
-        flight = run_within(60.0, fly, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
-        time.sleep(1.0)  # record a sender that has survived
-    if flight.returncode != -signal.SIGKILL and (late := re.search("|".join(LATENESS_RULES), flight.stderr)):
-        raise TooSlow(f"the flight ended before the fault: {late[0]}")
-    assert flight.returncode == -signal.SIGKILL, flight.stderr
-    at = re.search(r"at monotonic ([0-9.]+) s", flight.stderr)
-    assert at is not None, flight.stderr
-    passed = (line.split(",") for line in record.read_text().splitlines())
-    times = [
-        float(t) for t, direction, kind in passed if direction == "up" and int(kind) == SET_POSITION_TARGET
-    ]
-    assert len(times) > 100, "the vehicle did not fly: a flight sends 20 to 125 setpoints a second"
-    assert_below(0.5, max(times) - float(at[1]), "last setpoint after the fault, s")
-    if fault != "sigkill":
-        assert "deadman:" in flight.stderr
+    assert_below(0.5, last_setpoint_s(fault, tmp_path), "last setpoint after the fault, s")

@@ -1,4 +1,4 @@
-"""Limits of guard height and incidence from docs/results/body.md in `check`, the planner and warnings."""
+"""Limits of guard height and incidence from docs/results/tumbles.md in `check`, the planner and warnings."""
 
 import math
 

@@ -1,13 +1,19 @@
 """`make bench`: speed and memory as a table and as build/bench.json.
 
+    python -m tools.bench [NAME]
+
 Every ratio refers to a baseline measured in the same run. Each module in `tools/bench/` measures one part and
-has `rows() -> list[Row]`.
+has `rows() -> list[Row]`. With a NAME, the table is written into the pages of docs/results that have a block
+`bench NAME`.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import json
+import os
+import platform
 import subprocess
 import sys
 import time
@@ -17,9 +23,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from dart_flight.config.document import InputError
+from tools.campaigns import results
+
 Row = dict[str, Any]  # name, value, unit, baseline, ratio: docs/interfaces.md
 
 MODULES = ("contact", "plan", "core", "log", "latency", "poses", "share")
+NAMES = (*MODULES, "stepwise")
 OUTPUT = Path("build/bench.json")
 
 
@@ -39,8 +49,44 @@ def cli_help() -> list[Row]:
     return [{"name": "cli help", "value": value, "unit": "s", "baseline": bare, "ratio": bare / value}]
 
 
+def measure(name: str) -> None:
+    """Run one benchmark, print its table and write its block.
+
+    Raises:
+        InputError: a file of the program differs from the commit.
+    """
+    pages = results.pages_with(f"bench {name}")
+    commit = results.current_commit() if pages else ""
+    began_s = time.monotonic()
+    found = importlib.import_module(f"tools.bench.{name}").rows()
+    cells = [
+        [
+            row["name"],
+            f"{row['value']:.4g} {row['unit']}",
+            *("-" if row[key] is None else f"{row[key]:.4g}" for key in ("baseline", "ratio")),
+        ]
+        for row in found
+    ]
+    table = results.markdown(("", "measured", "baseline", "ratio"), cells)
+    print(table)
+    machine = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    for page in pages:
+        command = f"python -m tools.bench {name}"
+        head = results.measured_line(command, commit, machine, time.monotonic() - began_s)
+        results.write_block(page, f"bench {name}", f"{head}\n\n{table}")
+
+
 def main() -> int:
-    """Run all benchmarks, print the table and write the file."""
+    """Run one benchmark, or all of them; then print the table and write the file."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("name", nargs="?", choices=NAMES)
+    if name := parser.parse_args().name:
+        try:
+            measure(name)
+        except InputError as error:
+            sys.stderr.write(f"{error.one_line()}\n")
+            return 2
+        return 0
     console = Console(stderr=True)
     found: list[Row] = []
     for name in MODULES:

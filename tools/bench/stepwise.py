@@ -1,19 +1,20 @@
 """Benchmark of stepping a simulation from Python: `DartShuttle-v0`, compared with rotorpy's vehicle.
 
-    python -m tools.bench.stepwise [--rotorpy PYTHON]
+    ROTORPY=PYTHON python -m tools.bench stepwise
 
-PYTHON is the interpreter of a virtual environment with rotorpy. A step here is 0.04 s of flight: 40 steps
-of the plant, and 10 of sensors, estimator, autopilot and force estimator. The figures are processor time
-without resets, and are in docs/results/stepping.md.
+PYTHON is the interpreter of a virtual environment with rotorpy. Without it, rotorpy is left out. A step here
+is 0.04 s of flight: 40 steps of the plant, and 10 of sensors, estimator, autopilot and force estimator. The
+figures are processor time without resets, and are in docs/results/stepping.md.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
+import os
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 from dart_flight.base.records import Mode
 from dart_flight.lab.api import packaged
@@ -50,24 +51,27 @@ def hover_seconds(steps: int) -> float:
     return time.process_time() - begin
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--rotorpy", metavar="PYTHON", help="interpreter that has rotorpy")
-    parser.add_argument("--steps", type=int, default=STEPS)
-    options = parser.parse_args()
-    print(f"{'':32s} steps/s  flight s/s")
-    for name, seconds in (("DartShuttle-v0", shuttle_seconds), ("Simulation, hovering", hover_seconds)):
-        per_s = options.steps / seconds(options.steps)
-        print(f"{name:32s} {per_s:7.0f} {per_s * _PERIOD_S:11.1f}")
-    if options.rotorpy is not None:
+def rows(steps: int = STEPS) -> list[dict[str, Any]]:
+    """Return rows for the benchmark table: seconds of flight per second, and steps per second."""
+    found = []
+    for name, seconds in (("`DartShuttle-v0`", shuttle_seconds), ("`Simulation`, hovering", hover_seconds)):
+        per_s = steps / seconds(steps)
+        found += _rows_of(f"{name}, {_PERIOD_S:g} s", per_s, per_s * _PERIOD_S)
+    if rotorpy := os.environ.get("ROTORPY"):
         script = Path(__file__).with_name("rotorpy_steps.py")
-        command = [options.rotorpy, str(script), str(options.steps)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        for line in done.stdout.splitlines():
-            row = json.loads(line)
-            print(f"{row['name']:32s} {row['steps_per_s']:7.0f} {row['flight_s_per_s']:11.1f}")
+        done = subprocess.run(
+            [rotorpy, str(script), str(steps)], stdout=subprocess.PIPE, text=True, check=True
+        )
+        for row in map(json.loads, done.stdout.splitlines()):
+            found += _rows_of(row["name"], row["steps_per_s"], row["flight_s_per_s"])
+    return found
+
+
+def _rows_of(name: str, steps_per_s: float, flight_s_per_s: float) -> list[dict[str, Any]]:
+    figures = ((f"{name} a step", steps_per_s, "steps/s"), (f"{name}, flight", flight_s_per_s, "s/s"))
+    return [{"name": n, "value": v, "unit": u, "baseline": None, "ratio": None} for n, v, u in figures]
 
 
 if __name__ == "__main__":
-    main()
+    for each in rows():
+        print(each)

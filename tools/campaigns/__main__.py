@@ -2,7 +2,7 @@
 
     python -m tools.campaigns NAME [--runs N] [--only KEY=VALUE] [--resume]
     python -m tools.campaigns                   # all that need no extra software (`make campaign`)
-    python -m tools.campaigns --list            # what each page of results rests on
+    python -m tools.campaigns --list            # the measurements of each page of results
     python -m tools.campaigns --estimate [NAME] # how long a campaign would take here
 
 The rows are written to build/campaigns/NAME. A complete campaign writes the tables that NAME.py makes of them
@@ -44,6 +44,8 @@ HERE = Path(__file__).parent
 NAMES = sorted(path.stem for path in HERE.glob("*.yaml"))
 # The others need PX4, or the extra `mutants` and several hours.
 USUAL = [name for name in NAMES if not name.startswith(("px4", "mutants"))]
+# These need the whole computer for one flight.
+ALONE = ("px4", "busy_computer", "deadman")
 
 
 def load_campaign(options: argparse.Namespace, name: str) -> CampaignSpec:
@@ -70,10 +72,13 @@ def measure(options: argparse.Namespace, name: str) -> int:
         InputError, FlightError: as `campaigns.open_campaign` and `campaigns.fly`.
     """
     campaign = load_campaign(options, name)
+    pages = [] if options.only or options.out else results.pages_with(name)
+    commit = results.current_commit() if pages else ""
+    jobs = 1 if name.startswith(ALONE) else options.jobs
     opened = campaigns.open_campaign(
         campaign, options.out or ROOT / "build" / "campaigns" / name, options.resume
     )
-    engine = campaigns.fly_locally(options.jobs)
+    engine = campaigns.fly_locally(jobs)
     if options.scheduler is not None:
         from dart_flight.lab.campaign.cluster import on_cluster  # noqa: PLC0415
 
@@ -97,14 +102,19 @@ def measure(options: argparse.Namespace, name: str) -> int:
     text = "\n".join([text, *failed])
     (opened.folder / "page.md").write_text(text + "\n", "utf-8")
     print(text)
-    if not (failed or options.only or options.out):
-        options_shown = f" --runs {options.runs}" if options.runs is not None else ""
-        options_shown += " --px4 DIR" if name.startswith("px4") else ""
-        command = f"python -m tools.campaigns {name}{options_shown}"
-        for page in results.pages_with(name):
-            head = results.measured_line(command, f"{len(rows)} runs", spent_s)
+    if not failed:
+        command = f"python -m tools.campaigns {name}{_options_shown(options, name)}"
+        for page in pages:
+            head = results.measured_line(command, commit, f"{len(rows)} runs", spent_s)
             results.write_block(page, name, f"{head}\n\n{text}")
     return 1 if failed else 0
+
+
+def _options_shown(options: argparse.Namespace, name: str) -> str:
+    """Return the options that a page names, without a folder of this computer."""
+    given = [(key, getattr(options, key)) for key in ("runs", "seed")]
+    shown = "".join(f" --{key} {value}" for key, value in given if value is not None)
+    return f"{shown} --px4 DIR" if name.startswith("px4") else shown
 
 
 def _add_session(folder: Path, seconds: float) -> float:
@@ -116,12 +126,11 @@ def _add_session(folder: Path, seconds: float) -> float:
 
 
 def show_list() -> int:
-    """Print what the pages rest on. Return 1 if a page names no command of this commit's history."""
+    """Print the measurements of the pages. Return 1 if a page has none of this commit's history."""
     status = 0
     print("page                   date        commit    later  duration  command")
     for found in results.measurements():
-        unknown = found.later is None and found.page not in results.KEEP_THEIR_DATE
-        status = max(status, int(unknown))
+        status = max(status, int(found.later is None))
         later = "?" if found.later is None else str(found.later)
         print(
             f"{found.page:22} {found.date:11} {found.commit:9} {later:>5}  {found.duration:9} {found.command}"
@@ -141,14 +150,15 @@ def show_estimate(options: argparse.Namespace, names: Sequence[str]) -> int:
         items = list(items_of(msgspec.structs.replace(campaign, runs=1), points))
         sample = items[:: max(1, len(items) // 3)][:3]
         flyer = ItemFlyer(campaign_of(campaign, points), points)
-        # Processor time does not depend on what else runs here, but PX4 flies in processes of its own.
-        clock_s = time.monotonic if name.startswith("px4") else time.process_time
+        # Processor time does not depend on what else runs here, but some flights have several processes.
+        clock_s = time.monotonic if name.startswith(ALONE) else time.process_time
         began_s = clock_s()
         for item in sample:
             flyer(item)
         each_s = (clock_s() - began_s) / len(sample)
         runs = len(points) * campaign.runs
-        print(f"{name}: {runs} runs, about {results.duration(each_s * runs / options.jobs)}")
+        jobs = 1 if name.startswith(ALONE) else options.jobs
+        print(f"{name}: {runs} runs, about {results.duration(each_s * runs / jobs)}")
     return 0
 
 
@@ -163,15 +173,16 @@ def main() -> int:
     )
     parser.add_argument("--jobs", type=int, default=usable_cores())
     parser.add_argument("--scheduler", metavar="URL", help="Dask scheduler")
-    parser.add_argument("--px4", metavar="DIR", help="build of PX4 SITL")
+    parser.add_argument(
+        "--px4", metavar="DIR", nargs="+", help="build of PX4 SITL; px4_versions takes several"
+    )
     parser.add_argument("--out", type=lambda text: Path(text).resolve(), metavar="DIR")
     parser.add_argument("--resume", action="store_true")
-    parser.add_argument("--list", action="store_true", help="what each page of docs/results rests on")
+    parser.add_argument("--list", action="store_true", help="the measurements of each page of docs/results")
     parser.add_argument("--estimate", action="store_true", help="how long a campaign would take here")
     options = parser.parse_args()
     if options.px4 is not None:
-        os.environ[ENVIRONMENT] = str(Path(options.px4).resolve())
-        options.jobs = 1  # PX4 needs the whole computer
+        os.environ[ENVIRONMENT] = os.pathsep.join(str(Path(folder).resolve()) for folder in options.px4)
     os.chdir(ROOT)
     status, names = 0, [options.name] if options.name else USUAL
     try:

@@ -1,16 +1,10 @@
-"""Campaign: hits of a body at oblique walls, with tilt, rate and the next hit (docs/results/body.md).
-
-To measure another body than the configured one, edit `settings` in body.yaml; `vary: [all]` draws all
-quantities.
-"""
+"""Campaign: hits of a body at oblique walls, with tilt, rate and the next hit (docs/results/body.md)."""
 
 from __future__ import annotations
 
 import math
-import statistics
 import sys
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 
@@ -18,9 +12,9 @@ from dart_flight.base.geometry import norm, tilt_of
 from dart_flight.base.records import ImuSample, Record, TruthContact, TruthSample
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from dart_flight.sim.draws import draw_world
+from dart_flight.sim.draws import draw_world, parse_vary
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, grouped, markdown, median_and_most
 
 _AFTER_US = 600_000  # interval for the effect of a hit on tilt and rate
 
@@ -48,8 +42,9 @@ class BodyFlight(msgspec.Struct, frozen=True):
 def fly(point: Point, seed: int) -> BodyFlight:
     """Fly among rotated walls until landing."""
     mission = point.mission
+    spreads = parse_vary(("all",), mission.vehicle) if point.case["drawn"] == "all" else {}
     turned = dict.fromkeys((w.name for w in mission.walls), float(point.case["yaw_deg"]))
-    watched = WatchedFlight(mission, seed, place_walls(draw_world(mission, seed, point.spreads), {}, turned))
+    watched = WatchedFlight(mission, seed, place_walls(draw_world(mission, seed, spreads), {}, turned))
     contacts: list[TruthContact] = []
     tilts: list[tuple[int, float]] = []
     rates: list[tuple[int, float]] = []
@@ -85,36 +80,28 @@ def fly(point: Point, seed: int) -> BodyFlight:
     return BodyFlight(verdict.outcome.value, rule_of(verdict), watched.problems, hits)
 
 
-_HEADS = ("mission", "wall yaw", "completed", "aborted by", "uncontrolled", "tilt after first hit, deg",
-          "rate after it, deg/s", "second hit, m/s", "its force, N", "tilt after it, deg")  # fmt: skip
+_GUARDS = "simulation.contact.guard_height_m"
+_HEADS = ("guards", "drawn", "wall yaw", "completed", "uncontrolled", "tilt °", "rate °/s",
+          "second hit m/s: median, least", "ended by")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every mission and yaw, with median and worst figures."""
-    groups: dict[tuple[str, str], list[BodyFlight]] = {}
-    for r in rows:
-        groups.setdefault((r.mission, r.values["yaw_deg"]), []).append(r.row)
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    """Return a table with a row for every body and yaw, with median and worst figures after a first hit."""
+    groups = grouped(rows, _GUARDS, "drawn", "yaw_deg")
+    return markdown(
+        _HEADS, [[f"{float(g) * 100:g} cm", drawn, yaw, *_cells(mine)]
+                 for (g, drawn, yaw), mine in groups.items()],
+    )  # fmt: skip
 
 
 def _cells(mine: Sequence[BodyFlight]) -> list[str]:
     first = [f.hits[0] for f in mine if f.hits]
     second = [hit for f in mine if (hit := next((h for h in f.hits if h.wall != f.hits[0].wall), None))]
-    aborted = Counter(f.rule for f in mine if f.outcome != "completed" and not f.problems)
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
-        ", ".join(f"`{rule}` {count}" for rule, count in aborted.most_common()) or "-",
         str(sum(bool(f.problems) for f in mine)),
-        _median_and_worst(h.tilt_deg for h in first),
-        _median_and_worst(h.rate_deg_s for h in first),
-        _median_and_worst((h.normal_m_s for h in second), 2),
-        _median_and_worst(h.peak_n for h in second),
-        _median_and_worst(h.tilt_deg for h in second),
+        median_and_most(h.tilt_deg for h in first),
+        median_and_most(h.rate_deg_s for h in first),
+        median_and_most((-h.normal_m_s for h in second), 2, min),
+        causes(f.rule for f in mine if f.outcome != "completed" and not f.problems),
     ]
-
-
-def _median_and_worst(values: Iterable[float], digits: int = 0) -> str:
-    known = list(values)
-    if not known:
-        return "-"
-    return f"{statistics.median(known):.{digits}f}, {max(known, key=abs):.{digits}f}"

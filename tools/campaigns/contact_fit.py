@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 import random
-import statistics
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 
+from dart_flight.base.geometry import wrap_angle
 from dart_flight.base.records import Mode, Phase, PhaseChange, Record, TruthContact, WallEstimate, World
-from dart_flight.base.summary import wilson
 from dart_flight.config.file_kinds import FileKind, load_document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.contact.contact_map import collide
@@ -29,12 +28,11 @@ from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown, median_and_most
 
 _LONGEST_S = 40.0
 _STUCK = MockFaults(servo=ServoFaults(stuck=True))
 _Z_95 = 1.959964
-_DEADLINE_MS = 150.0  # a plan that depends on the mode waits this long
 _CONTACT = {"contact": 0.3, "contact_scatter": 0.05}
 _OTHERS = _CONTACT | {
     "wall_yaw_deg": 4.0, "wall_offset_m": 0.03, "mass": 0.03, "wind_m_s": 0.5, "battery": 0.05,
@@ -73,6 +71,7 @@ class EstimatedContact(msgspec.Struct, frozen=True):
     Attributes:
         by_time: mode whose contact duration with this material is nearest to the measured one.
         after_ms: time from the true end of the contact to the evaluation.
+        direction_error_deg: None without an estimate of the direction.
         coefficients: name -> estimate, its relative standard deviation, and truth.
     """
 
@@ -82,6 +81,7 @@ class EstimatedContact(msgspec.Struct, frozen=True):
     by_time: Mode | None
     after_ms: float
     plane_error_m: float
+    direction_error_deg: float | None
     coefficients: dict[str, tuple[float, float, float]]
 
     @property
@@ -154,6 +154,8 @@ def fly(point: Point, seed: int) -> EstimatedContact:
     touched = (x - away * true.normal[0], y - away * true.normal[1])
     wall = world.mission.vehicle.materials[true.material].coefficients(contact.mode)
     hits = builder.build(World.FAST, seed).collisions
+    found = estimate.plane_normal_mission
+    turned = None if found is None else wrap_angle(math.atan2(*found[::-1]) - math.atan2(*true.normal[::-1]))
     return EstimatedContact(
         contact.mode,
         estimate.mode_felt,
@@ -161,6 +163,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
         _mode_by_time(planned.material, mission, hits[0].contact_time_ms if hits else None),
         (estimated_us - contact.end_us) * 1e-3,
         estimate.plane_offset_m - planned.signed_distance(touched),
+        None if turned is None else math.degrees(turned),
         {
             "k": (estimate.k_n_per_m, estimate.k_sd, wall.k),
             "f": (estimate.f_ns_per_m, estimate.f_sd, wall.f),
@@ -183,23 +186,19 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
 
 
 _HEADS = (
-    "set", "body", "contacts", "wrong (95 %)", "undecided (95 %)", "evaluated after (median, latest)",
-    "within 150 ms", "wrong by contact duration (95 %)", "intervals of k, f, mu that hold the truth",
-    "plane mm: mean, deviation",
+    "set", "body", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
+    "intervals hold k, f, mu", "ms: median, latest",
 )  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every set and body."""
-    groups: dict[tuple[str, str], list[EstimatedContact]] = {}
-    for r in rows:
-        groups.setdefault((r.values["set"], r.values["body"]), []).append(r.row)
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "set", "body").items()])
 
 
 def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
-    delays_ms, offsets_mm = [c.after_ms for c in mine], [1e3 * c.plane_error_m for c in mine]
     correct = [c for c in mine if c.mode_felt in (None, c.true_mode)]
+    turned = [c.direction_error_deg for c in mine if c.direction_error_deg is not None]
     covered = [
         100 * sum(abs(true / value - 1.0) <= _Z_95 * sd for value, sd, true in found) / len(found)
         for name in ("k", "f", "mu")
@@ -207,16 +206,15 @@ def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
     ]
     return [
         str(len(mine)),
-        _rate(sum(c.is_wrong for c in mine), len(mine)),
-        _rate(sum(c.mode_felt is None for c in mine), len(mine)),
-        f"{statistics.median(delays_ms):.0f}, {max(delays_ms):.0f} ms",
-        f"{sum(ms <= _DEADLINE_MS for ms in delays_ms)} of {len(mine)}",
-        _rate(sum(c.by_time is not c.true_mode for c in mine), len(mine)),
-        ", ".join(f"{share:.0f} %" for share in covered),
-        f"{statistics.fmean(offsets_mm):+.1f}, {statistics.pstdev(offsets_mm):.1f}",
+        str(sum(c.is_wrong for c in mine)),
+        str(sum(c.mode_felt is None for c in mine)),
+        str(sum(c.by_time is not c.true_mode for c in mine)),
+        f"{_rms(turned):.2f}" if turned else "-",
+        f"{_rms([1e3 * c.plane_error_m for c in mine]):.1f}",
+        ", ".join(f"{share:.0f}" for share in covered) + " %",
+        median_and_most(c.after_ms for c in mine),
     ]
 
 
-def _rate(count: int, total: int) -> str:
-    low, high = wilson(count, total)
-    return f"{count} ({100 * low:.1f} to {100 * high:.1f} %)"
+def _rms(values: Sequence[float]) -> float:
+    return math.sqrt(math.fsum(v * v for v in values) / len(values))

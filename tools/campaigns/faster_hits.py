@@ -10,10 +10,8 @@ from __future__ import annotations
 import functools
 import math
 import os
-import statistics
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,6 @@ import msgspec
 
 from dart_flight.base.geometry import distance2, norm, tilt_of
 from dart_flight.base.records import Mode, Outcome, Phase, PhaseChange, Record, TruthContact, TruthSample
-from dart_flight.base.summary import wilson
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
@@ -44,7 +41,7 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.px4.installation import ENVIRONMENT
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, grouped, markdown, median_and_most, rate
 
 _FRICTION_RATIO = 0.5  # the law of friction is assumed valid up to this ratio of friction to normal force
 _WALL_M, _BACK_M = 3.0, 2.0
@@ -205,40 +202,30 @@ def _summarise(mission: Mission, verdict: Verdict, records: Iterable[Any], probl
     )
 
 
-_HEADS = (
-    "mode", "closing m/s", "sliding m/s", "touch m/s", "incidence °", "recovered (95 %)", "uncontrolled",
-    "true speed, m/s (median)", "tilt ° (median, most)", "exit / closing speed (median, least)",
-    "peak N (median, most)", "clipped", "ended by",
-)  # fmt: skip
+_HEADS = ("mode", "closing m/s", "touch", "recovered (95 %)", "uncontrolled", "tilt °: median, most",
+          "peak N: median, most", "ended by")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every case."""
-    groups: dict[tuple[str, ...], list[FastHit]] = {}
-    for r in rows:
-        groups.setdefault(tuple(r.values.values()), []).append(r.row)
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    keys = ("mode", "normal_m_s", "tangential_m_s", "incidence_deg", "touch_m_s")
+    return markdown(
+        _HEADS, [[*_case_cells(*key), *_cells(mine)] for key, mine in grouped(rows, *keys).items()]
+    )
+
+
+def _case_cells(mode: str, normal: str, tangential: str, incidence: str, touch: str) -> tuple[str, str, str]:
+    sliding = "" if tangential == "0" else f", {tangential} along"
+    turned = "" if incidence == "drawn" else f", {incidence}°"
+    return mode, f"{normal}{sliding}{turned}", "yes" if touch else "no"
 
 
 def _cells(mine: Sequence[FastHit]) -> list[str]:
     hit = [f for f in mine if f.closing_m_s]
-    ended = Counter(f"`{f.rule or f.outcome}`" for f in mine if f.outcome != "completed")
-    recovered = sum(f.recovered for f in mine)
-    low, high = wilson(recovered, len(mine))
-
-    def median_and_worst(
-        pick: Callable[[FastHit], float], digits: int, worst: Callable[[list[float]], float] = max
-    ) -> str:
-        values = [pick(f) for f in hit]
-        return f"{statistics.median(values):.{digits}f}, {worst(values):.{digits}f}" if values else "-"
-
     return [
-        f"{recovered} of {len(mine)} ({100 * low:.0f} to {100 * high:.0f} %)",
+        rate(sum(f.recovered for f in mine), len(mine)),
         str(sum(bool(f.problems) for f in mine)),
-        f"{statistics.median([f.closing_m_s or 0.0 for f in hit]):.2f}" if hit else "-",
-        median_and_worst(lambda f: f.tilt_deg, 0),
-        median_and_worst(lambda f: (f.exit_m_s or 0.0) / (f.closing_m_s or 1.0), 2, min),
-        median_and_worst(lambda f: f.peak_n or 0.0, 0),
-        str(sum(f.clipped for f in mine)),
-        ", ".join(f"{rule} {count}" for rule, count in ended.most_common()) or "-",
+        median_and_most(f.tilt_deg for f in hit),
+        median_and_most(f.peak_n for f in hit),
+        causes(f.rule or f.outcome for f in mine if f.outcome != "completed"),
     ]

@@ -1,27 +1,29 @@
-"""Campaign: the fault matrix as a table, with each flight's outcome and the time of its first decision."""
+"""Campaign: the fault matrix: what ends a flight with each fault, and after what time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from tests.faults.fault_flights import FaultFlight
-from tools.campaigns.results import markdown
+from tests.faults.fault_flights import ON_GROUND, FaultFlight
+from tools.campaigns.results import grouped, markdown
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the matrix, one row per fault, followed by the uncontrolled flights."""
-    cells = {(r.values["fault"], r.values["phase"]): _cell(r.row) for r in rows}
-    faults = dict.fromkeys(fault for fault, _ in cells)
-    phases = tuple(dict.fromkeys(phase for _, phase in cells))
-    table = markdown(
-        ("fault", *phases), [[fault, *(cells.get((fault, p), "") for p in phases)] for fault in faults]
-    )
+    """Return a row for all faults that end flights in the same ways, and the uncontrolled flights."""
+    alike: dict[str, list[str]] = {}
+    flights: dict[str, list[FaultFlight]] = {}
+    flown = [r for r in rows if r.row.began and r.values["phase"] != ON_GROUND]
+    for (fault,), mine in grouped(flown, "fault").items():
+        ends = ", ".join(dict.fromkeys(flight.came_of for flight in mine))
+        alike.setdefault(ends, []).append(fault)
+        flights.setdefault(ends, []).extend(mine)
+    table = [[", ".join(alike[ends]), ends, _range_ms(flights[ends])] for ends in alike]
     wrong = [f"- {r.values['fault']} @ {r.values['phase']}: {r.row.problems}" for r in rows if r.row.problems]
-    return "\n".join([table, f"{len(rows)} cells, {len(wrong)} uncontrolled.", *wrong])
+    heads = ("faults in the air", "what ended the flights", "first decision, ms")
+    return "\n".join([markdown(heads, table), f"{len(rows)} cells, {len(wrong)} uncontrolled.", *wrong])
 
 
-def _cell(flight: FaultFlight) -> str:
-    if not flight.began:
-        return "-"
-    return flight.came_of + ("" if flight.decision_ms is None else f" {flight.decision_ms:.0f} ms")
+def _range_ms(flights: Sequence[FaultFlight]) -> str:
+    times = [flight.decision_ms for flight in flights if flight.decision_ms is not None]
+    return f"{min(times):.0f} to {max(times):.0f}" if times else "-"

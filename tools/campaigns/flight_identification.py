@@ -17,7 +17,7 @@ from dart_flight.recording.reader import IN_MEMORY, Log
 from dart_flight.run.fast import FastFlight
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.sim.draws import DrawnWorld
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown, median_and_most
 
 _FLIGHTS = 3
 
@@ -68,15 +68,23 @@ def _log_of(mission: Mission, real: Mission, seed: int) -> Log:
     return record.log
 
 
+_BODY = "simulation.contact.body"
+
+
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every coefficient, in bold if its interval does not contain the truth."""
+    """Return a row for every body and coefficient: errors, and how often the interval holds the truth."""
     table = []
-    for r in rows:
-        for name, (value, low, high, true) in r.row.coefficients.items():
-            cells = [r.mission, *r.values.values(), name, f"{true:.4g}"]
-            if value is None or low is None or high is None:
-                table.append([*cells, "unknown"])
-            else:
-                shown = f"{value:.4g}, {100.0 * (value / true - 1.0):+.1f} %"
-                table.append([*cells, shown if low <= true <= high else f"**{shown}**"])
-    return markdown(("mission", "body", "walls", "coefficient", "truth", "estimate, error"), table)
+    for (body,), mine in grouped(rows, _BODY).items():
+        for wanted in ("k", "f", "mu", "nu"):
+            found = [
+                c for one in mine for name, c in one.coefficients.items() if name.endswith(f", {wanted}")
+            ]
+            errors = [100.0 * abs(v / true - 1.0) for v, _, _, true in found if v is not None]
+            inside = [
+                low <= true <= high for _, low, high, true in found if low is not None and high is not None
+            ]
+            unknown = sum(v is None for v, *_ in found)
+            cells = [median_and_most(errors, 1), f"{sum(inside)} of {len(inside)}", str(unknown)]
+            table.append([body, wanted, *cells])
+    heads = ("body", "coefficient", "error %: median, largest", "interval holds the truth", "unknown")
+    return markdown(heads, table)

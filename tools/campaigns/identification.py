@@ -19,7 +19,7 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trials import Trial
 from tests.doubles.synthetic_trials import MASS_KG, drop_trial, wall_trial
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown
 
 _SPEEDS = {"3 hits at 1.0 m/s": (1.0, 1.0, 1.0)}
 _FULL = "hits with track and height"
@@ -68,31 +68,21 @@ def identify_set(point: Point, seed: int) -> Identified:
     return Identified(identified)
 
 
-_HEADS = (
-    "trials",
-    "mode",
-    "sets",
-    "",
-    "truth",
-    "median error",
-    "rms error",
-    "half 95 % interval",
-    "coverage",
-)
+_HEADS = ("trials", "coefficient", "median error: rigid, flexible", "95 % interval holds", "half interval")
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every kind of trials and coefficient."""
-    groups: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
-    for r in rows:
-        for name, estimate in r.row.coefficients.items():
-            groups.setdefault((r.values["trials"], r.values["mode"], name), []).append(estimate)
-    table = []
-    for (trials, mode, name), estimates in groups.items():
-        value, low, high, true = np.array(estimates).T
-        off = value / true - 1.0
-        covered = np.mean((low <= true) & (true <= high))
-        figures = [np.median(np.abs(off)), np.sqrt(np.mean(off**2)), np.median(0.5 * (high - low) / true)]
-        cells = [f"{figure:.2%}" for figure in figures]
-        table.append([trials, mode, str(len(estimates)), name, f"{true[0]:g}", *cells, f"{covered:.1%}"])
-    return markdown(_HEADS, table)
+    """Return a row for every kind of trials and coefficient; pairs are for rigid and flexible arms."""
+    table: dict[tuple[str, str], list[list[str]]] = {}
+    for (trials, _), sets in grouped(rows, "trials", "mode").items():
+        for name in sets[0].coefficients:
+            value, low, high, true = np.array([one.coefficients[name] for one in sets]).T
+            figures = (
+                f"{np.median(np.abs(value / true - 1.0)):.2%}",
+                f"{np.mean((low <= true) & (true <= high)):.0%}",
+                f"{np.median(0.5 * (high - low) / true):.2%}",
+            )
+            table.setdefault((trials, name), [[], [], []])
+            for cell, figure in zip(table[trials, name], figures, strict=True):
+                cell.append(figure)
+    return markdown(_HEADS, [[*key, *map(", ".join, cells)] for key, cells in table.items()])

@@ -13,7 +13,6 @@ import shutil
 import sys
 import tempfile
 from ast import literal_eval
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -127,7 +126,7 @@ def _first_detection(tree: Path) -> tuple[str, str]:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the number of detected mutants, the survivors, and the detecting tests."""
+    """Return the number of detected mutants, and the survivors."""
     mutants = [r.row for r in rows if r.row.kind]
     undetected = [m for m in mutants if not m.detected_by]
     baseline_failures = [
@@ -135,7 +134,6 @@ def page(rows: Sequence[JudgedRow]) -> str:
         for r in rows
         if r.seed == 0 and r.row.detected_by
     ]
-    detections = Counter(m.detected_by.partition("[")[0] for m in mutants if m.detected_by)
     survivors = [(m.place, m.kind, f"`{m.before}`", f"`{m.after}`") for m in undetected]
     by_command = [
         (f"`make {name}`", str(len(mutants)), str(found), f"{100 * low:.0f} to {100 * high:.0f} %")
@@ -148,6 +146,5 @@ def page(rows: Sequence[JudgedRow]) -> str:
             *baseline_failures,
             markdown(("command", "mutants", "detected", "share, 95 % interval"), by_command),
             markdown(("survivor", "kind", "before", "after"), survivors),
-            markdown(("test", "mutants"), [(name, str(count)) for name, count in detections.most_common()]),
         ]
     )

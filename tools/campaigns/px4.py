@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 import statistics
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from dart_flight.base.summary import cause_of
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.installation import ENVIRONMENT
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, markdown
 
 
 class Px4Hit(msgspec.Struct, frozen=True):
@@ -56,8 +56,13 @@ def fly(point: Point, seed: int) -> Px4Flight:
     """Fly the mission of a point on the PX4 of `--px4`."""
     source = PositionSource(point.case["position_from"])
     with tempfile.TemporaryDirectory() as folder:
-        px4 = os.environ[ENVIRONMENT]
-        v = fly_px4(point.mission, px4, seed, Path(folder), position_from=source, spreads=point.spreads)
+        px4 = point.case.get("px4", os.environ[ENVIRONMENT])
+        file = Path(folder) / "case.params"
+        file.write_text(point.case.get("parameter", ""))
+        v = fly_px4(
+            point.mission, px4, seed, Path(folder) / "log",
+            position_from=source, spreads=point.spreads, parameter_files=(file,),
+        )  # fmt: skip
     return Px4Flight(
         version=v.px4.version if v.px4 else None,
         outcome=v.outcome.value,
@@ -72,45 +77,35 @@ def fly(point: Point, seed: int) -> Px4Flight:
     )
 
 
-_FIGURES: dict[str, tuple[Callable[[Px4Flight], float | None], int]] = {
-    "max. tilt °": (lambda f: f.tilt_deg, 1),
-    "estimate error m": (lambda f: f.ekf_m, 3),
-    "goal miss m": (lambda f: f.miss_m, 2),
-    "final error m": (lambda f: f.final_m, 3),
-}
-_OF_HIT: dict[str, tuple[Callable[[Px4Hit], float | None], int]] = {
-    "normal m/s": (lambda h: h.normal_m_s, 3),
-    "peak N": (lambda h: h.peak_n, 1),
-    "measured / true": (lambda h: h.peak_ratio, 3),
-    "detection ms": (lambda h: h.detection_ms, 1),
-}
+_HEADS = ("mission", "position from", "completed", "tilt °", "estimate off m", "last hit m/s",
+          "its peak: measured / true", "detected after ms", "ended by")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table of median (minimum to maximum), with a column for every mission and position source."""
-    groups: dict[str, list[Px4Flight]] = {}
+    """Return PX4's versions, and a row of medians (least to most) for every mission and position source."""
+    groups: dict[tuple[str, ...], list[Px4Flight]] = {}
     for r in rows:
-        mission = Path(r.mission).stem
-        groups.setdefault(f"{mission}, {r.values['position_from']}, {r.row.version}", []).append(r.row)
-    hits = max(len(f.hits) for mine in groups.values() for f in mine)
-    names = ["completed", "ended by", "failsafes, resets", *_FIGURES]
-    names += [f"hit {i + 1}: {name}" for i in range(hits) for name in _OF_HIT]
-    columns = [_column(mine, hits) for mine in groups.values()]
-    return markdown(("", *groups), zip(names, *columns, strict=True))
+        groups.setdefault((Path(r.mission).stem, r.values["position_from"]), []).append(r.row)
+    table = markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    return f"{versions_of(r.row.version for r in rows)}\n\n{table}"
 
 
-def _column(mine: Sequence[Px4Flight], hits: int) -> list[str]:
-    ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
-    cells = [
+def versions_of(versions: Iterable[str | None]) -> str:
+    """Return the sentence that names the versions of PX4."""
+    return f"PX4: {', '.join(sorted({version or 'unknown' for version in versions}))}."
+
+
+def _cells(mine: Sequence[Px4Flight]) -> list[str]:
+    last = [f.hits[-1] for f in mine if f.hits]
+    return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
-        ", ".join(f"`{rule}` {count}" for rule, count in ended.most_common()) or "-",
-        f"{sum(bool(f.failsafe) for f in mine)}, {sum(f.resets or 0 for f in mine)}",
+        spread([f.tilt_deg for f in mine], 0),
+        spread([f.ekf_m for f in mine], 3),
+        spread([hit.normal_m_s for hit in last], 2),
+        spread([hit.peak_ratio for hit in last], 2),
+        spread([hit.detection_ms for hit in last], 0),
+        causes(cause_of(f.reason) for f in mine if f.outcome != "completed"),
     ]
-    cells += [spread([pick(f) for f in mine], digits) for pick, digits in _FIGURES.values()]
-    for i in range(hits):
-        flown = [f.hits[i] for f in mine if len(f.hits) > i]
-        cells += [spread([pick(h) for h in flown], digits) for pick, digits in _OF_HIT.values()]
-    return cells
 
 
 def spread(values: Sequence[float | None], digits: int) -> str:

@@ -12,7 +12,7 @@ import socket
 import struct
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +28,7 @@ from dart_flight.base.records import (
     Phase,
     PhaseChange,
     Record,
+    TruthContact,
     TruthSample,
 )
 from dart_flight.config.parameter_file import PositionSource
@@ -38,12 +39,13 @@ from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # delay of the disturbance, s
 _PORT = 18570  # ground-station port of PX4's first instance
 _INSTANCE = re.compile(r"PX4 instance (\d+)")
 _JUMP_M = 1.0
+_HIT_N = 5.0  # true peak from which a contact counts as a hit
 _TRIES = 4  # on a busy computer a flight may end before the disturbance begins
 
 
@@ -127,7 +129,8 @@ DISTURBANCES = {
 class Disturbed(msgspec.Struct, frozen=True):
     """One disturbed flight: the guard's rules with their times and details, and the true outcome.
 
-    Times are seconds since the disturbance; None: before it.
+    Times are seconds since the disturbance; None: before it. `hits` are the speed and the peak force of the
+    true contacts after the guard's first rule, from `_HIT_N` on.
     """
 
     rules: list[tuple[str, float | None, str]]
@@ -136,6 +139,7 @@ class Disturbed(msgspec.Struct, frozen=True):
     outside_m: float
     down_m_s: float | None
     problems: list[str]
+    hits: list[tuple[float, float]] = []
 
 
 def cases() -> list[dict[str, str]]:
@@ -146,16 +150,18 @@ def cases() -> list[dict[str, str]]:
 def fly(point: Point, seed: int) -> Disturbed:
     """Fly up to four times, until the disturbance begins before the first rule fires."""
     for _ in range(_TRIES):
-        flown = _fly_once(point.case["disturbance"], Phase(point.case["phase"]), seed)
+        flown = _fly_once(point.case, seed)
         if all(after_s is not None for _, after_s, _ in flown.rules):
             return flown
     return flown
 
 
-def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
-    disturbance, link = DISTURBANCES[name], SecondLink()
+def _fly_once(case: Mapping[str, str], seed: int) -> Disturbed:
+    disturbance, link, phase = DISTURBANCES[case["disturbance"]], SecondLink(), Phase(case["phase"])
     gps = disturbance.position_from is not PositionSource.MOCAP
-    mission = load_flyable(packaged("missions", f"paper_{'single_wall' if gps else 'dual_collision'}.yaml"))
+    name = case.get("mission", "paper_single_wall" if gps else "paper_dual_collision")
+    mission = load_flyable(packaged("missions", f"{name}.yaml"))
+    hits: list[tuple[float, float]] = []
     truth, begun_us = TruthExtremes(mission.bounds), [0]
     rules: list[tuple[str, float | None, str]] = []
 
@@ -174,6 +180,8 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
         elif isinstance(record, GuardEvent):
             after_s = (record.t_us - begun_us[0]) * 1e-6 if begun_us[0] else None
             rules.append((record.rule, after_s, record.detail))
+        elif isinstance(record, TruthContact) and rules and record.peak_normal_force_n >= _HIT_N:
+            hits.append((-record.normal_in_m_s, record.peak_normal_force_n))
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "row.params"
@@ -191,23 +199,14 @@ def _fly_once(name: str, phase: Phase, seed: int) -> Disturbed:
     )
     down_m_s = None if disturbance.stops_motors else truth.landing_m_s
     tilt_deg = math.degrees(truth.tilt_rad)
-    return Disturbed(rules, flown.outcome.value, tilt_deg, truth.excursion_m, down_m_s, problems)
+    return Disturbed(rules, flown.outcome.value, tilt_deg, truth.excursion_m, down_m_s, problems, hits)
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every disturbance, with the time of each rule in each phase."""
-    groups: dict[str, list[Disturbed]] = {}
-    for r in rows:
-        groups.setdefault(r.values["disturbance"], []).append(r.row)
-    heads = (
-        "disturbance",
-        "guard rules, s after it",
-        "tilt up to °",
-        "outside the bounds up to m",
-        "landing speed up to m/s",
-        "uncontrolled",
-    )
-    return markdown(heads, [[name, *_cells(mine)] for name, mine in groups.items()])
+    heads = ("disturbance", "guard rules, s after it", "tilt °", "out of bounds m", "landing m/s",
+             "uncontrolled")  # fmt: skip
+    return markdown(heads, [[*key, *_cells(mine)] for key, mine in grouped(rows, "disturbance").items()])
 
 
 def _cells(mine: Sequence[Disturbed]) -> list[str]:

@@ -1,5 +1,5 @@
-"""Campaign: flights on forwarded motion-capture poses, with systems, latencies and faults
-(docs/results/motion_capture.md).
+"""Campaign: flights on forwarded motion-capture poses, with systems and latencies
+(docs/results/motion_capture.md). The campaign px4_pose_faults flies the cases of `fault_cases`.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from dart_flight.base.records import GuardEvent, Override, TruthSample
+from dart_flight.base.summary import cause_of
 from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.campaign.campaign_spec import Point
@@ -26,8 +26,7 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.faults.fault_table import parse_mission_fault
 from dart_flight.sim.pipe import FULL_SPEED
 from dart_flight.sim.px4.installation import ENVIRONMENT
-from tools.campaigns.px4 import spread
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, grouped, markdown, median_and_most
 
 _SIMULATOR = "simulator"  # the simulator itself sends the poses to PX4
 _MISSIONS = ("dual_collision", "shuttle", "survey")
@@ -63,13 +62,18 @@ class PoseFlight(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the cases of all parts: systems and missions, latencies, faults."""
+    """Return the cases: missions with each system, and latencies."""
     systems = (_SIMULATOR, "optitrack", "qualisys", "vicon")
     flown = [_case("systems", m, mocap=s) for m in _MISSIONS for s in systems]
     late = [
         _case("latency", "dual_collision", delay_ms=true, measured_ms=found) for true, found in _LATENCIES
     ]
-    return flown + late + [_case("faults", "dual_collision", fault=f) for f in _FAULTS]
+    return flown + late
+
+
+def fault_cases() -> list[dict[str, str]]:
+    """Return the cases of px4_pose_faults."""
+    return [_case("faults", "dual_collision", fault=f) for f in _FAULTS]
 
 
 def _case(
@@ -125,32 +129,53 @@ def _moved_m(path: str) -> float | None:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table for each part, with median (minimum to maximum)."""
-    parts: dict[str, list[JudgedRow]] = {}
-    for row in rows:
-        parts.setdefault(row.values["part"], []).append(row)
-    tables = [_table(part, mine) for part, mine in parts.items()]
-    return "\n".join(tables)
-
-
-def _table(part: str, rows: Sequence[JudgedRow]) -> str:
-    keys = {"systems": ("flown", "mocap"), "latency": ("delay_ms",), "faults": ("fault",)}[part]
-    groups: dict[tuple[str, ...], list[PoseFlight]] = {}
-    for row in rows:
-        groups.setdefault(tuple(row.values[key] for key in keys), []).append(row.row)
-    head = (*keys, "completed", "ended by", "failsafe", "uncontrolled", "max. tilt °", "estimate error m")
-    head += ("moved after reaction m",) if part == "faults" else ("goal miss m",)
-    return markdown(head, [(*key, *_figures(part, mine)) for key, mine in groups.items()])
-
-
-def _figures(part: str, mine: Sequence[PoseFlight]) -> list[str]:
-    ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
-    return [
-        f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
-        ", ".join(f"`{rule}` {count}" for rule, count in ended.most_common()) or "-",
-        str(sum(bool(f.failsafe) for f in mine)),
-        str(sum(bool(f.uncontrolled) for f in mine)),
-        spread([f.tilt_deg for f in mine], 1),
-        spread([f.ekf_m for f in mine], 3),
-        spread([f.moved_m if part == "faults" else f.miss_m for f in mine], 2),
+    """Return the worst figures of each mission and system, and the estimate's error at each latency."""
+    systems = [r for r in rows if r.values["part"] == "systems"]
+    worst: dict[str, dict[str, str]] = {}
+    for (flown, system), mine in grouped(systems, "flown", "mocap").items():
+        figures = zip(("tilt_deg", "ekf_m", "miss_m"), (1, 3, 2), strict=True)
+        worst.setdefault(flown, {})[system] = "/".join(_most(mine, *figure) for figure in figures)
+    heads = dict.fromkeys(r.values["mocap"] for r in systems)
+    late = [
+        [*key, _completed(mine), median_and_most((f.ekf_m for f in mine), 3)]
+        for key, mine in grouped(
+            [r for r in rows if r.values["part"] == "latency"], "delay_ms", "measured_ms"
+        ).items()
     ]
+    flown = [r.row for r in rows]
+    return "\n".join(
+        [
+            markdown(("mission", *heads), [[name, *cells.values()] for name, cells in worst.items()]),
+            markdown(("latency ms", "measured ms", "completed", "estimate off m: median, most"), late),
+            f"{_completed(flown)} completed; {sum(bool(f.uncontrolled) for f in flown)} uncontrolled, "
+            f"{sum(bool(f.failsafe) for f in flown)} with a failsafe.",
+        ]
+    )
+
+
+def fault_page(rows: Sequence[JudgedRow]) -> str:
+    """Return a row for every fault."""
+    heads = ("fault", "ended by", "tilt °", "estimate off m", "moved m: median, most", "uncontrolled")
+    return markdown(
+        heads,
+        [
+            [
+                fault,
+                causes(cause_of(f.reason) or f.outcome for f in mine),
+                _most(mine, "tilt_deg", 0),
+                _most(mine, "ekf_m", 2),
+                median_and_most((f.moved_m for f in mine), 2),
+                str(sum(bool(f.uncontrolled) for f in mine)),
+            ]
+            for (fault,), mine in grouped(rows, "fault").items()
+        ],
+    )
+
+
+def _most(mine: Sequence[PoseFlight], name: str, digits: int) -> str:
+    known = [value for f in mine if (value := getattr(f, name)) is not None]
+    return f"{max(known):.{digits}f}" if known else "-"
+
+
+def _completed(mine: Sequence[PoseFlight]) -> str:
+    return f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}"

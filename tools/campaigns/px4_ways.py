@@ -19,7 +19,7 @@ from dart_flight.sim.px4.installation import ENVIRONMENT
 from tests.arrival import arrival_of
 from tools.campaigns.arrivals import COLLIDING, FREE, USING_COLLISIONS, both_ways
 from tools.campaigns.px4 import hit_of, spread
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown
 
 
 class FlownVariant(msgspec.Struct, frozen=True):
@@ -66,30 +66,19 @@ def fly(point: Point, seed: int) -> FlownVariant:
     )
 
 
-_HEADS = ("mission", "variant", "completed", "plan followed", "places passed", "planned s", "flown s",
-          "hits m/s (medians)", "max. tilt °", "final error m")  # fmt: skip
+_HEADS = ("mission", "variant", "completed", "plan followed", "planned s", "flown s", "tilt °")
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every mission and variant."""
-    groups: dict[tuple[str, str], list[FlownVariant]] = {}
-    for r in rows:
-        groups.setdefault((r.values["flown"], r.values["way"]), []).append(r.row)
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "flown", "way").items()])
 
 
 def _cells(mine: Sequence[FlownVariant]) -> list[str]:
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
         f"{sum(bool(f.followed) for f in mine)} of {sum(f.followed is not None for f in mine)}",
-        ", ".join(sorted({f.places for f in mine})),
         f"{mine[0].planned_s:.2f}",
         spread([f.flown_s for f in mine], 2),
-        " / ".join(
-            spread(list(speeds), 2).partition(" ")[0]
-            for speeds in zip(*(f.hits_m_s for f in mine), strict=False)
-        )
-        or "-",
-        spread([f.tilt_deg for f in mine], 1),
-        spread([f.final_m for f in mine], 3),
+        f"{max(f.tilt_deg or 0.0 for f in mine):.0f}",
     ]

@@ -15,7 +15,7 @@ from dart_flight.lab.search import flown_plan
 from dart_flight.lab.search.mission_writer import planned_mission
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import load_scenario
-from tools.campaigns.results import markdown
+from tools.campaigns.results import markdown, rate
 
 PLACES = {"e": (1, 0), "w": (-1, 0), "n": (0, 1), "E": (1, 0.2), "W": (-1, 0.2), "c": (0, 0)}
 NORMALS = {"e": (-1, 0), "w": (1, 0), "n": (0, -1)}
@@ -101,18 +101,25 @@ _HEADS = ("vehicle", "visits", "walls", "tolerance m", "planned s", "offered", "
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every room; a pair of figures is for `plan` and for the other worlds."""
-    table = []
+    table, off_s, others = [], [], []
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row
         planned = "-" if found.planned_saving_s is None else f"{found.planned_saving_s:+.2f}"
         cells = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
         records = [record for record in (found.by_plan, found.other) if record is not None]
         drawn = [record.drawn for record in records if record.drawn is not None]
+        savings = [record.saving_s for record in records if record.saving_s is not None]
+        off_s += [abs(savings[0] - savings[1])] if len(savings) == 2 else []
+        others += drawn[1:]
         columns = (
             [str(flights.completed) for flights in drawn],
             [str(flights.uncontrolled) for flights in drawn],
-            ["-" if record.saving_s is None else f"{record.saving_s:+.2f}" for record in records],
+            [f"{saving_s:+.2f}" for saving_s in savings],
             [f"{flights.max_tilt_deg or 0.0:.0f}" for flights in drawn],
         )
         table.append([*cells, found.offered, *("/".join(column) or "-" for column in columns)])
-    return markdown(_HEADS, table)
+    uncontrolled = rate(sum(f.uncontrolled for f in others), sum(f.flights for f in others), 1)
+    summary = f"In other worlds {uncontrolled} were uncontrolled"
+    if off_s:
+        summary += f"; savings differed by at most {max(off_s):.2f} s"
+    return f"{markdown(_HEADS, table)}\n{summary}."

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 import os
+import statistics
 import tempfile
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import msgspec
 import numpy as np
 
 from dart_flight.base.records import FrameAnchor, Mode, WallEstimate
+from dart_flight.base.summary import cause_of
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.parameter_file import PositionSource
 from dart_flight.config.vehicle import packaged
@@ -31,7 +32,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.installation import ENVIRONMENT
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, grouped, markdown
 
 _RECENT_S = 8.0  # largest age of a recent anchor
 _UNCONTROLLED_DEG = 60.0
@@ -303,64 +304,48 @@ def _touched(mission: Mission, verdict: Verdict, records: Sequence[Any]) -> Touc
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table for each part."""
-    cases: dict[tuple[str, str], list[Touched]] = {}
-    for r in rows:
-        cases.setdefault((r.values["part"], r.values["flown"]), []).append(r.row)
+    """Return a table for each part, and a line about the rooms."""
+    cases = grouped(rows, "part", "flown")
+    anchored = [f for (part, _), mine in cases.items() if part == "anchors" for f in mine]
     tables = [
         _directions([w for f in cases.get(("directions", ""), []) for w in f.walls]),
-        markdown(_FLIGHT_HEADS, [[*key, *_flight_figures(mine)] for key, mine in cases.items()]),
-        _hits([h for (part, _), mine in cases.items() if part == "anchors" for f in mine for h in f.hits]),
-        _rooms([(r.seed, r.row.room) for r in rows if r.row.room is not None]),
+        markdown(_FLIGHT_HEADS, [[*key, *_flight_figures(mine)] for key, mine in cases.items() if key[1]]),
+        _hits([h for f in anchored for h in f.hits]),
+        _rooms([r.row.room for r in rows if r.row.room is not None]),
     ]
     return "\n".join(table for table in tables if table)
 
 
-_FLIGHT_HEADS = (
-    "part", "flown", "completed", "uncontrolled", "position rms, largest m", "direction rms, largest deg",
-    "k within 2 deviations", "both walls within 8 s", "aborted by",
-)  # fmt: skip
+_FLIGHT_HEADS = ("part", "flown", "completed", "uncontrolled", "place rms m", "direction rms °, largest",
+                 "both walls within 8 s", "ended by")  # fmt: skip
 
 
 def _flight_figures(mine: Sequence[Touched]) -> list[str]:
     walls = [w for f in mine for w in f.walls]
-    places = [abs(w.error_m) for w in walls if w.error_m is not None]
+    places = [w.error_m for w in walls if w.error_m is not None]
     turned = [abs(w.error_deg) for w in walls if w.error_deg is not None]
-    known = [(abs(w.k_error), w.k_sd) for w in walls if w.k_error is not None and w.k_sd is not None]
     recent = [f for f in mine if len(f.hits) > 1 and all(h.age_s <= _RECENT_S for h in f.hits)]
-    ended = Counter(f.reason.partition(":")[0] for f in mine if f.outcome != "completed")
     return [
         f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
         str(sum(f.tilt_deg > _UNCONTROLLED_DEG for f in mine)),
-        f"{rms(places):.4f}, {max(places):.3f}" if places else "-",
+        f"{rms(places):.4f}" if places else "-",
         f"{rms(turned):.2f}, {max(turned):.2f}" if turned else "-",
-        f"{sum(error <= 2.0 * sd for error, sd in known)} of {len(known)}",
-        f"{sum(f.outcome == 'completed' for f in recent)} of {len(recent)}",
-        ", ".join(f"`{rule}` {count}" for rule, count in sorted(ended.items())) or "-",
+        f"{sum(f.outcome == 'completed' for f in recent)} of {len(recent)}" if recent else "-",
+        causes(cause_of(f.reason) for f in mine if f.outcome != "completed"),
     ]
 
 
 def _directions(walls: Sequence[EstimatedWall]) -> str:
     rows = []
     for low, high in ((0.0, 6.0), (6.0, 15.0), (15.0, 30.0)):
-        for mode in ("rigid", "flexible"):
-            here = [w for w in walls if low <= abs(w.incidence_deg or 0.0) < high and w.mode == mode]
-            errors = [w.error_deg for w in here if w.error_deg is not None]
-            if not errors:
-                continue
-            ratios = [w.error_deg / w.sd_deg for w in here if w.error_deg is not None and w.sd_deg]
-            places = [w.error_m for w in here if w.error_m is not None]
-            figures = [f"{rms(errors):.2f}", f"{max(map(abs, errors)):.1f}", f"{rms(ratios):.2f}"]
-            rows.append([f"{low:.0f} to {high:.0f}", mode, str(len(here)), *figures, f"{rms(places):.4f}"])
-    heads = (
-        "incidence deg",
-        "estimated mode",
-        "contacts",
-        "rms deg",
-        "largest",
-        "error/deviation",
-        "position rms m",
-    )
+        here = [w for w in walls if low <= abs(w.incidence_deg or 0.0) < high and w.error_deg is not None]
+        errors = [w.error_deg for w in here if w.error_deg is not None]
+        ratios = [w.error_deg / w.sd_deg for w in here if w.error_deg is not None and w.sd_deg]
+        places = [w.error_m for w in here if w.error_m is not None]
+        if errors:
+            figures = [f"{rms(errors):.2f}, {max(map(abs, errors)):.1f}", f"{rms(ratios):.2f}"]
+            rows.append([f"{low:.0f} to {high:.0f}", str(len(here)), *figures, f"{rms(places):.4f}"])
+    heads = ("incidence °", "contacts", "direction rms °, largest", "rms error/deviation", "place rms m")
     return markdown(heads, rows) if rows else ""
 
 
@@ -370,29 +355,19 @@ def _hits(hits: Sequence[HitOnGps]) -> str:
         here = [h for h in hits if low <= h.age_s < high]
         if here:
             off, expected = rms([h.moved_m for h in here]), rms([h.expected_sd_m for h in here])
-            ratio = f"{off / expected:.2f}"
-            rows.append(
-                [f"{low:.0f} to {high:.0f} s", str(len(here)), f"{off:.3f}", f"{expected:.3f}", ratio]
-            )
-    heads = ("age of the anchor", "hits", "error rms m", "predicted m", "error/predicted")
+            rows.append([f"{low:.0f} to {high:.0f} s", str(len(here)), f"{off:.3f}", f"{expected:.3f}"])
+    heads = ("age of the anchor", "hits", "off rms m", "predicted m")
     return markdown(heads, rows) if rows else ""
 
 
-def _rooms(rooms: Sequence[tuple[int, FoundRoom]]) -> str:
-    heads = ("seed", "walls", "closed", "within 5 cm", "contacts", "flights", "flown s")
-    rows = [
-        [
-            str(seed),
-            f"{room.found} of {room.walls}",
-            "yes" if room.closed else "no",
-            f"{100 * room.share:.1f} %",
-            str(room.contacts),
-            str(room.flights),
-            f"{room.flown_s:.0f}",
-        ]
-        for seed, room in rooms
-    ]
-    return markdown(heads, rows) if rows else ""
+def _rooms(rooms: Sequence[FoundRoom]) -> str:
+    if not rooms:
+        return ""
+    shares = [100.0 * room.share for room in rooms]
+    return (
+        f"Rooms: {len(rooms)}; outline closed in {sum(room.closed for room in rooms)}; within 5 cm of it "
+        f"lies {statistics.fmean(shares):.1f} % of the true outline on average, at least {min(shares):.1f} %."
+    )
 
 
 def rms(values: Sequence[float]) -> float:

@@ -9,14 +9,13 @@ from __future__ import annotations
 import functools
 import math
 import random
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
 from dart_flight.base.records import Outcome
-from dart_flight.base.summary import wilson
+from dart_flight.base.summary import cause_of
 from dart_flight.check.checks import FlightContext, Stage, run_checks
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission, load_mission
@@ -25,7 +24,7 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.sim.draws import draw_world
 from tests.watched_flight import WatchedFlight
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, markdown, rate
 
 _ROOMS = 50
 _TUMBLED_DEG = 80.0
@@ -112,7 +111,7 @@ def fly(point: Point, seed: int) -> RoomFlight:
     return RoomFlight(
         refused,
         verdict.outcome is Outcome.COMPLETED,
-        (verdict.reason or "").partition(":")[0],
+        cause_of(verdict.reason or ""),
         math.degrees(watched.truth.tilt_rad),
     )
 
@@ -134,13 +133,11 @@ def page(rows: Sequence[JudgedRow]) -> str:
 def _cells(mine: Sequence[JudgedRow]) -> list[str]:
     flown = [r.row for r in mine]
     tumbled = sum(f.tilt_deg > _TUMBLED_DEG for f in flown)
-    low, high = wilson(tumbled, len(flown))
-    ended = Counter(f"`{f.reason}`" for f in flown if not f.completed)
     return [
         str(len({r.values["room"] for r in mine})),
         str(len(flown)),
         str(sum(f.completed for f in flown)),
-        f"{tumbled} ({100 * low:.1f} to {100 * high:.1f} %)",
+        rate(tumbled, len(flown), 1),
         str(sum(f.tilt_deg > 60.0 for f in flown)),
-        ", ".join(f"{rule} {count}" for rule, count in ended.most_common()) or "-",
+        causes(f.reason for f in flown if not f.completed),
     ]

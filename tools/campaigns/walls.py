@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import msgspec
@@ -14,7 +12,7 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.sim.draws import DrawnWorld
 from tests.watched_flight import WatchedFlight, place_walls
-from tools.campaigns.results import markdown
+from tools.campaigns.results import causes, grouped, markdown, median_and_most
 
 _WALL = "acrylic"
 # A wall is rotated about its centre. On `_BESIDE` the hit is 1.3 m from the centre, but not near the end.
@@ -60,28 +58,31 @@ def fly(point: Point, seed: int) -> MovedWall:
     return MovedWall(verdict.outcome.value, rule, off[-1] if off else None, verdict.goal_miss_m)
 
 
-_HEADS = ("mission", "true wall offset", "stated uncertainty", "completed", "impact error, m/s (median)",
-          "goal miss, m (median)", "aborted by")  # fmt: skip
+_HEADS = ("mission", "true wall offset", "completed without uncertainty", "with it", "uncertainty",
+          "impact off m/s: median, most")  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every mission and case."""
-    groups: dict[tuple[str, ...], list[MovedWall]] = {}
-    for r in rows:
-        case = r.values
-        offset = f"{case['away_m']} m" if case["turned_deg"] == "0" else f"{case['turned_deg']} deg"
-        groups.setdefault((case["flown"], offset, case["known"] or "-"), []).append(r.row)
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in groups.items()])
+    """Return a row for every mission and offset: without and with a stated uncertainty of the wall."""
+    keys, table = ("flown", "away_m", "turned_deg"), []
+    without = grouped((r for r in rows if not r.values["known"]), *keys)
+    known = grouped((r for r in rows if r.values["known"]), *keys, "known")
+    for (flown, away, turned, stated), mine in known.items():
+        good = [flight for flight in mine if flight.outcome == "completed"]
+        cells = [
+            flown,
+            f"{away} m" if turned == "0" else f"{turned}°",
+            _completed(without.get((flown, away, turned), [])),
+            _completed(mine),
+            f"`{stated}`",
+            median_and_most((flight.off_m_s for flight in good), 3),
+        ]
+        table.append(cells)
+    return markdown(_HEADS, table)
 
 
-def _cells(mine: Sequence[MovedWall]) -> list[str]:
-    good = [flight for flight in mine if flight.outcome == "completed"]
-    off = [flight.off_m_s for flight in good if flight.off_m_s is not None]
-    miss = [flight.miss_m for flight in good if flight.miss_m is not None]
-    rules = Counter(flight.rule for flight in mine if flight not in good)
-    return [
-        f"{len(good)} of {len(mine)}",
-        f"{statistics.median(off):.3f}" if off else "-",
-        f"{statistics.median(miss):.2f}" if miss else "-",
-        ", ".join(f"`{name}` {count}" for name, count in rules.items()) or "-",
-    ]
+def _completed(mine: Sequence[MovedWall]) -> str:
+    ended = causes(flight.rule for flight in mine if flight.outcome != "completed")
+    return f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}" + (
+        "" if ended == "-" else f", {ended}"
+    )

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from dart_flight.base.summary import cause_of
 from dart_flight.config.document import Document
 from dart_flight.config.mission import Mission, parse_mission
 from dart_flight.lab.campaign.campaign_spec import Point
@@ -27,7 +28,7 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.flight_record import FlightRecord
 from tests.arrival import arrival_of, planned_there_s
 from tools.campaigns.arrivals import WALL_SHIFT_M
-from tools.campaigns.results import ROOT, markdown
+from tools.campaigns.results import ROOT, causes, grouped, markdown
 
 _FLOWN = "position"  # set of limits
 # Shuttles 39, 43 and 67 are the first with four visits within 0.1 m.
@@ -55,11 +56,12 @@ class BothFlown(msgspec.Struct, frozen=True):
 
 
 class MapPlan(NamedTuple):
-    """One plan of a map."""
+    """One plan of a map; `gap_s` bounds what a longer search could gain."""
 
     scenario: Scenario
     plan: Plan
     is_best: bool
+    gap_s: float
 
     @property
     def mission(self) -> Mission:
@@ -88,7 +90,9 @@ def plan_map(kind: str, number: int, limits: str) -> dict[str, MapPlan]:
     scenario = load_scenario(scenario_of(kind, number, limits))
     result = plan_quickest(scenario, _PLAN_WITHIN_S)
     plans = {"free": result.free, "hit": result.colliding}
-    return {way: MapPlan(scenario, p, p is result.best) for way, p in plans.items() if p is not None}
+    return {
+        way: MapPlan(scenario, p, p is result.best, result.gap_s) for way, p in plans.items() if p is not None
+    }
 
 
 def fly(point: Point, seed: int) -> BothFlown:
@@ -231,39 +235,32 @@ _MAKERS: dict[str, Callable[[dict[str, Any], np.random.Generator, int], None]] =
 
 # -- page --------------------------------------------------------------------------------------------------
 
+_NEAR = 0.1  # allowed difference between planned and flown time, relative to the planned time
+
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return medians over the seeds: a row for every kind of map, then a row for every map."""
-    maps: dict[tuple[str, str], list[BothFlown]] = {}
-    for r in rows:
-        maps.setdefault((r.values["kind"], r.values["map"]), []).append(r.row)
-    kinds = []
-    for kind in dict.fromkeys(kind for kind, _ in maps):
-        mine = {key: found for key, found in maps.items() if key[0] == kind}
-        flown = [f for found in mine.values() for f in found]
-        gains = [gain for found in mine.values() if (gain := _gain(found)) is not None]
-        median = (
-            "-"
-            if not gains
-            else f"{statistics.median(g for g, _ in gains):+.1%}, "
-            + (f"{statistics.median(g for _, g in gains):+.1%}")
-        )
-        problems = sum(bool(f.problems) for f in flown)
-        kinds.append([kind, str(len(mine)), str(len(flown)), str(problems), median])
-    heads = ("kind", "maps", "pairs flown", "with a problem", "gain: optimum, flown (median)")
-    by_map = [
-        [
-            f"{kind} {number}",
-            found[0].returned,
-            *(_median([getattr(f, name) for f in found]) for name in _TIMES),
-            *("; ".join(sorted({p.partition(":")[0] for f in found for p in f.problems})) or "-",),
+    """Return a row for every kind of map; a gain is the median over its maps."""
+    table = []
+    for (kind,), flown in grouped(rows, "kind").items():
+        maps = grouped((r for r in rows if r.values["kind"] == kind), "map")
+        gains = [gain for found in maps.values() if (gain := _gain(found)) is not None]
+        timed = [(f.planned_free_s, f.free_s) for f in flown] + [(f.planned_hit_s, f.hit_s) for f in flown]
+        near = [
+            abs(done / plan - 1.0) <= _NEAR for plan, done in timed if plan is not None and done is not None
         ]
-        for (kind, number), found in maps.items()
-    ]
-    return markdown(heads, kinds) + "\n" + markdown(("map", "returned", *_TIMES, "problems"), by_map)
-
-
-_TIMES = ("planned_free_s", "planned_hit_s", "free_s", "hit_s")
+        shown = ", ".join(f"{statistics.median(column):+.1%}" for column in zip(*gains, strict=True))
+        table.append(
+            [
+                kind,
+                str(len(maps)),
+                str(len(flown)),
+                causes(cause_of(problem) for f in flown for problem in f.problems),
+                f"{sum(near)} of {len(near)}",
+                shown or "-",
+            ]
+        )
+    heads = ("kind", "maps", "pairs flown", "problems", "within 10 % of the plan", "gain: optimum, flown")
+    return markdown(heads, table)
 
 
 def _gain(found: Sequence[BothFlown]) -> tuple[float, float] | None:
@@ -274,8 +271,3 @@ def _gain(found: Sequence[BothFlown]) -> tuple[float, float] | None:
     if not free or not hit or planned_free_s is None or planned_hit_s is None:
         return None
     return 1.0 - planned_hit_s / planned_free_s, 1.0 - statistics.median(hit) / statistics.median(free)
-
-
-def _median(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    return f"{statistics.median(known):.2f}" if known else "-"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+import time
 from collections.abc import Sequence
 
 import msgspec
@@ -10,22 +11,21 @@ import msgspec
 from dart_flight.config.mission_file import MOTIONS
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
-from tools.campaigns.results import markdown
+from tools.campaigns.results import grouped, markdown, median_and_most
 from tools.campaigns.walls_pay import flown_cases, plan_map
 
 
 class PlannedMap(msgspec.Struct, frozen=True):
-    """Times of both plans, None without a plan, and the share of the free time that hits save.
+    """The share of the free time that hits save, and the effort of the search; None without a plan.
 
     Attributes:
         cruise_ratio: approach speed of the colliding plan over that of the free plan, with limited sight.
     """
 
-    free_s: float | None
-    hit_s: float | None
-    hits: int
     gain: float | None
     cruise_ratio: float | None
+    gap_s: float
+    searched_s: float
 
 
 def cases() -> list[dict[str, str]]:
@@ -35,34 +35,32 @@ def cases() -> list[dict[str, str]]:
 
 def plan(point: Point, _: int) -> PlannedMap:
     """Plan one map."""
+    began_s = time.process_time()
     plans = plan_map(point.case["kind"], int(point.case["map"]), point.case["limits"])
+    searched_s = time.process_time() - began_s
     free, hit = plans.get("free"), plans.get("hit")
     gain = None if free is None or hit is None else 1.0 - hit.plan.time_to_goal_s / free.plan.time_to_goal_s
     cruises = [way and way.plan.cruise_m_s for way in (free, hit)]
     ratio = cruises[1] / cruises[0] if cruises[0] and cruises[1] else None
-    hits = len(hit.plan.collisions) if hit else 0
-    return PlannedMap(free and free.plan.time_to_goal_s, hit and hit.plan.time_to_goal_s, hits, gain, ratio)
+    return PlannedMap(gain, ratio, max(p.gap_s for p in plans.values()), searched_s)
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every kind and set of limits."""
-    groups: dict[tuple[str, str], list[PlannedMap]] = {}
-    for r in rows:
-        groups.setdefault((r.values["kind"], r.values["limits"]), []).append(r.row)
+    """Return a row for every kind: the gain under each set of limits, and the effort of the search."""
     table = []
-    for key, mine in groups.items():
-        gains = [planned.gain for planned in mine if planned.gain is not None]
-        median = f"{statistics.median(gains):+.1%} ({min(gains):+.1%} to {max(gains):+.1%})" if gains else "-"
-        quicker = f"{sum(gain > 0.0 for gain in gains)} of {len(gains)}"
-        ratios = [planned.cruise_ratio for planned in mine if planned.cruise_ratio is not None]
-        faster = f"{statistics.median(ratios):.2f}" if ratios else "-"
-        table.append([*key, str(len(mine)), quicker, median, faster])
-    heads = (
-        "kind",
-        "limits",
-        "maps",
-        "hit faster",
-        "gain of the optimum: median (least to most)",
-        "cruise ratio",
-    )
+    for (kind,), found in grouped(rows, "kind").items():
+        by_limits = grouped((r for r in rows if r.values["kind"] == kind), "limits")
+        cells = [_gains(by_limits.get((limits,), [])) for limits in MOTIONS]
+        effort = median_and_most((p.searched_s for p in found), 1)
+        table.append([kind, *cells, f"{max(p.gap_s for p in found):.2f}", effort])
+    heads = ("kind", *(f"limits `{limits}`" for limits in MOTIONS), "gap s", "search s: median, most")
     return markdown(heads, table)
+
+
+def _gains(planned: Sequence[PlannedMap]) -> str:
+    """Return the median gain with its range; with limited sight, the median ratio of the cruise speeds."""
+    ratios = [p.cruise_ratio for p in planned if p.cruise_ratio is not None]
+    gains = [100.0 * p.gain for p in planned if p.gain is not None]
+    if ratios:
+        return f"cruise {statistics.median(ratios):.2f} times as fast"
+    return f"{statistics.median(gains):+.1f} % ({min(gains):.1f} to {max(gains):.1f})" if gains else "-"
