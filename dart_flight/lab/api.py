@@ -259,7 +259,7 @@ def predict_drop(
     """Return the outcome of a drop from rest; the vehicle falls `height_m` before it touches the ground.
 
     Raises:
-        InputError: as for `predict`, or the height is not above 0, or exceeds 100 m.
+        InputError: an argument is invalid (see `predict`), or the height is not above 0 and at most 100 m.
     """
     condition = prediction.condition(vehicle, surface, mode, onset, 0.0)
     prediction.drop_contact(condition, height_m)  # raises InputError if the height is out of range
@@ -308,8 +308,8 @@ class PlanResult:
         Args:
             path: the file to write.
             rank: rank of the plan; 1 is the best.
-            verify: whether to fly the plan in simulation first (21 flights in this process, half a minute)
-                and write the results into the file, under the key `flown`.
+            verify: whether to fly the plan in simulation first and write the results under the key `flown`.
+                The 21 flights take half a minute in this process.
 
         Raises:
             InputError: the file cannot be written, or no plan has this rank.
@@ -357,7 +357,8 @@ def plan(
     Args:
         scenario: a scenario, or a file or mapping for `load_scenario`.
         vehicle: the configuration to use instead of the scenario's configuration.
-        objective: `nearest`, `fastest`, `gentlest`, `robust` or `quickest`, instead of the scenario's.
+        objective: `nearest`, `fastest`, `gentlest`, `robust` or `quickest`; by default the scenario's
+            objective.
         top: number of plans to keep.
         seed: seed of the random sets of values that the objective `robust` evaluates.
         within_s: time limit of the search with the objective `quickest`.
@@ -406,15 +407,15 @@ def identify(
             from your own arrays.
         vehicle: supplies the mass and the onset rule; default `load_vehicle()`. The trials of a flight
             log use the configuration in the log.
-        mode: state of the arms in trials that do not record the state; for flights, only collisions in this
-            mode are used.
-        surface: for flights, only collisions with this material are used.
-        drop: whether the trials are drops. A number means drops from this height, m.
+        mode: state of the arms, for trials that do not record it. From flights, only collisions in this mode
+            are used.
+        surface: material; from flights, only collisions with this material are used.
+        drop: whether the trials are drops. A number is the height of the drops, m.
         onset: onset rule, `lcp` or `touch`; by default the vehicle's rule.
         contact_distance_m: distance that is subtracted from the column `normal_m` of files, m.
         columns: our column name -> header in the CSV files.
-        wall: for PX4 logs: north and east (m) of the vehicle's centre when the vehicle touches the wall, and
-            the heading of the wall's outward normal (degrees).
+        wall: for PX4 logs, the north and east position (m) of the vehicle's centre when the vehicle touches
+            the wall, and the heading of the wall's outward normal (degrees).
         mass_kg: vehicle mass to use instead of the configuration's.
 
     Raises:
@@ -442,7 +443,7 @@ def identify(
 
 
 def _trials_in(source: Source, surface: str | None, mode: str) -> list[Trial]:
-    """Return the trials in a `Trial`, flight or log; an empty list for a file."""
+    """Return the trials that a `Trial`, flight or log contains; return an empty list for a file."""
     if isinstance(source, Trial):
         return [source]
     if isinstance(source, Flight):

@@ -9,7 +9,7 @@ from typing import Any
 
 
 def csv_text(rows: Iterable[Iterable[Any]], end: str = "\r\n") -> str:
-    """Return rows as CSV text with line ends; open the output file with `newline=""`."""
+    """Return rows as CSV text; open the output file with `newline=""`, which keeps the line ends `end`."""
     out = io.StringIO()
     csv.writer(out, lineterminator=end).writerows(rows)
     return out.getvalue()

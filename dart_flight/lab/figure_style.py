@@ -50,7 +50,7 @@ class Look(NamedTuple):
 
     Attributes:
         width_in: width of the whole figure, inches.
-        font_pt: size of labels and ticks, points; other sizes derive from it.
+        font_pt: size of labels and ticks, points; the other text sizes derive from this size.
     """
 
     width_in: float
@@ -67,9 +67,9 @@ PAGE, COLUMN = Look(4.6, 9.0), Look(3.5, 8.0)
 
 
 def new_figure(look: Look, height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Any, Any]:
-    """Return a figure and its axes; `height` is in inches and applies to the width of `PAGE`.
+    """Return a figure and its axes; `height` is the height in inches at the width of `PAGE`.
 
-    Every `look` gives the same aspect. `options` are those of `Figure.subplots`.
+    The aspect ratio is the same for every `look`. `options` are those of `Figure.subplots`.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415  (an extra, and slow)
 
@@ -122,7 +122,7 @@ def _styled(look: Look) -> Iterator[None]:
 
 
 def as_svg(figure: Any) -> str:
-    """Return the figure as SVG text without a background, coordinates rounded to a tenth of a point."""
+    """Return the figure as SVG text without a background, and round coordinates to a tenth of a point."""
     text = io.StringIO()
     with _styled(PAGE):
         figure.savefig(text, format="svg", metadata={"Date": None}, transparent=True)
@@ -138,7 +138,7 @@ def _shorten(coordinates: str) -> str:
 def save_figure(figure: Any, path: Path) -> None:
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError("the picture must be a .png, .svg or .pdf file", source=str(path))
-    drawn = io.BytesIO()  # if drawing fails, the file keeps the previous picture
+    drawn = io.BytesIO()  # in memory first: if drawing fails, the file keeps the previous picture
     with _styled(PAGE):
         figure.savefig(drawn, format=path.suffix.lower()[1:], dpi=200)
     with report_write_errors(path):

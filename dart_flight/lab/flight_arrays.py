@@ -45,7 +45,7 @@ class PoseArrays(NamedTuple):
     Attributes:
         time_s: (n,), time of measurement.
         position: (n, 3), m, in the mission frame.
-        is_timed: whether the age of the poses is known and subtracted from their time of receipt.
+        is_timed: whether the age of a pose is known, so that its time is the receipt minus this age.
     """
 
     time_s: Array
@@ -100,7 +100,7 @@ class FlightArrays:
         tracked: list[PoseSample] = [s for s in samples.records if isinstance(s, PoseSample) and s.tracked]
         received = np.array([s.t_us for s in tracked], dtype=float)
         stamps = [s.source_us for s in tracked if s.source_us is not None]
-        if stamps and len(stamps) == len(tracked):  # the stamps have no jitter, only an offset
+        if stamps and len(stamps) == len(tracked):  # unlike the receipt, these stamps have no jitter
             own = np.array(stamps, dtype=float)
             received = own + (received - own).min()
         rising = np.diff(np.maximum.accumulate(received), prepend=-np.inf) > 0.0
@@ -125,7 +125,7 @@ class FlightArrays:
         return (t_us - self.start_us) * 1e-6
 
     def topic_in_ned(self, kind: type[Record]) -> Topic:
-        """Return the records of a kind; an empty topic if the flight has no mission frame."""
+        """Return the records of a kind, or an empty topic if the flight has no mission frame."""
         return self.topic(kind) if self.frame is not None else Topic(kind, [], np.empty(0))
 
     def frame_at(self, t_us: int) -> MissionFrame | None:
@@ -139,7 +139,7 @@ class FlightArrays:
         return np.asarray(vectors @ np.array([frame.vector_from_ned(axis) for axis in _AXES]))
 
     def places_from_ned(self, places: Array, time_s: Array) -> Array:
-        """Convert positions (n, 3) from local NED, each with the mission frame valid at its time."""
+        """Convert positions (n, 3) from local NED to the mission frame that is valid at their times."""
         if not self._frames:
             return self.from_ned(places)
         begin_s = [self.time_of(t_us) for t_us, _ in self._frames]

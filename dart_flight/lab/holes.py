@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dart_flight.base.records import ImuSample
 from dart_flight.recording.reader import Log
 
-_INTERVALS, _LEAST_S = 10.0, 0.1  # minimum hole, in intervals and s: more than jitter or a lost sample
+_INTERVALS, _LEAST_S = 10.0, 0.1  # minimum length of a hole, in sampling intervals and in s
 _SHOWN = 3
 
 

@@ -5,11 +5,11 @@ Over a short window the motors' torque changes the rates:
     change of w = (1/J) integral of (motors - w x J w) dt + drift
 
 The motors' torque follows from their commands through the thrust curve, their lag, their positions and the
-propellers' drag. A plot of rate change over integral, with a point for each window, therefore has the slope
-1/J. The rates have errors from the gyro and from disturbances, and the torques have errors from motor
-behaviour between the recorded commands. If all errors are assigned to the rates, the fit gives the upper
-bound of J; if they are assigned to the torques, it gives the lower bound. The estimate lies between the two
-bounds, and its interval contains both.
+propellers' drag. If the rate change of each window is plotted over the window's integral, the slope is
+therefore 1/J. The rates have errors from the gyro and from disturbances, and the torques have errors from
+motor behaviour between the recorded commands. If all errors are assigned to the rates, the fit gives the
+upper bound of J; if they are assigned to the torques, it gives the lower bound. The estimate lies between the
+two bounds, and its interval contains both.
 
 The rates at a window's ends are averages over some samples, because a controller responds to the noise of a
 single sample. The fit tries several lags of the motors and keeps the lag that leaves the least variance
@@ -34,18 +34,18 @@ Array = NDArray[np.float64]
 
 AXES = ("roll", "pitch", "yaw")
 WINDOW_S = 0.1
-_END_SAMPLES = 3  # number of samples averaged before and after a window's end
-_MIN_HZ = 50.0  # minimum rate of gyro and motors; a lower rate misses the controller's action
+_END_SAMPLES = 3  # number of samples averaged on each side of a window's end
+_MIN_HZ = 50.0  # minimum rate of gyro and motor samples; a lower rate misses the controller's action
 _MAX_GAP_S = 0.05
-_MAX_SIDEWAYS_M_S2 = 5.0  # limit of the mean force per kg across the thrust axis; contacts exceed it
+_MAX_SIDEWAYS_M_S2 = 5.0  # limit of the mean force per kg across the thrust axis; contacts exceed this limit
 _MIN_WINDOWS = 40
 _MAX_ERROR = 0.1  # maximum relative standard error of a slope
 _MAX_RATIO = 1.3  # maximum ratio of the inertia's upper bound to its lower bound
 _GROUND_MARGIN_S = 1.0
-_LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # multiples of the configured lag
+_LAGS = (0.4, 0.55, 0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.1)  # tried multiples of the configured lag
 _SIGMA_95 = 1.96
 _MEDIAN_OF_SQUARE = 0.4549  # median of the square of a standard normal variable
-_ROUNDS = 3  # iterations, because the gyroscopic term depends on the estimated inertia
+_ROUNDS = 3  # number of fits; the gyroscopic term of a fit uses the inertia of the previous fit
 
 
 class AxisInertia(msgspec.Struct):
@@ -55,8 +55,8 @@ class AxisInertia(msgspec.Struct):
         axis: roll (forward), pitch (right) or yaw (down).
         value, low, high: the estimate and its 95 % interval, or None if the flights do not determine the
             inertia.
-        torque_nm: standard deviation of the motors' mean torque over the windows.
-        rate_change_rad_s: standard deviation of the rate's change over the windows.
+        torque_nm: standard deviation, over all windows, of a window's mean motor torque.
+        rate_change_rad_s: standard deviation, over all windows, of the rate change in a window.
         explained: fraction of the variance of the rate's change that the motors explain.
         refused: the reason why there is no value; empty if there is a value.
     """
@@ -96,14 +96,14 @@ class InertiaCalibration(msgspec.Struct):
 
 
 class _Windows(msgspec.Struct):
-    """The changes over windows that do not overlap, one row per window.
+    """The rate changes and the integrals that cause them; one row per window, without overlap.
 
     Attributes:
         change: change of the rates, (n, 3).
         impulse: integral of the motors' torque, (n, 3).
         products: integral of (wy wz, wz wx, wx wy), (n, 3).
         duration: (n,), s.
-        noise: variance that the gyro's white noise causes in a change, (3,).
+        noise: variance of a rate change due to the gyro's white noise, (3,).
     """
 
     change: Array
@@ -180,7 +180,7 @@ def _windows(track: Track, vehicle: VehicleConfig, lag_s: float) -> _Windows:
     size = 2 * _END_SAMPLES + 1
     kernel = np.full(size, 1.0 / size)
     smooth = np.stack([np.convolve(w[:, i], kernel, mode="same") for i in range(3)], axis=1)
-    # Average the integral like the rate, over the same samples.
+    # Average the integrals over the same samples as the rates, so that both have the same filter.
     impulse, products = (
         np.stack([np.convolve(x[:, i], kernel, mode="same") for i in range(3)], axis=1)
         for x in (impulse, products)
@@ -240,7 +240,7 @@ def _integral(values: Array, step: Array) -> Array:
 def _fit(
     windows: _Windows, vehicle: VehicleConfig
 ) -> tuple[list[AxisInertia], tuple[float, float, float], float]:
-    """Return the inertias, the drift, and the unexplained fraction of variance summed over the axes."""
+    """Return inertias, drift, and the sum over the axes of the unexplained fraction of the variance."""
     inertia = np.array(vehicle.airframe.inertia_kg_m2)
     axes: list[AxisInertia] = []
     drift = np.zeros(3)

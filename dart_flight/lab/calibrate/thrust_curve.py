@@ -28,12 +28,10 @@ Array = NDArray[np.float64]
 WINDOW_S = 0.5
 _PART_S = 0.1  # length of a window's part: longer than the vibration's period, shorter than a bump
 _GROUND_MARGIN_S = 1.0  # maximum delay of PX4's land detector
-_MIN_IMU, _MIN_MOTOR = 10, 3  # minimum samples in a window; PX4's default logging has motors at 10 Hz
+_MIN_IMU, _MIN_MOTOR = 10, 3  # minimum samples in a window; by default PX4 logs motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
-_MAX_LATERAL_M_S2 = (
-    1.5  # limit of the mean force per kg across the thrust axis; drag, wind, contacts exceed it
-)
-_MAX_JOLT_M_S2 = 3.0  # maximum difference of a part's mean from the window's; bumps and touch-downs exceed it
+_MAX_LATERAL_M_S2 = 1.5  # limit of the mean force per kg across the thrust axis; contacts and wind exceed it
+_MAX_JOLT_M_S2 = 3.0  # maximum difference between a part's mean and the window's mean; a bump exceeds it
 _MAX_ACCELERATION_M_S2 = 1.5
 _MAX_COMMAND_CHANGE = 0.06  # maximum change of the mean motor command between the two halves of a window
 _MIN_COMMAND, _MAX_COMMAND = 0.05, 0.98  # limits of each motor's mean command
@@ -44,7 +42,7 @@ _MIN_VOLTAGE_SPREAD = 0.02  # minimum relative standard deviation of the voltage
 _MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
 _MAX_EXPONENT = 3.0  # maximum exponent of the voltage ratio
 _FOLDS = 4  # parts for cross-validation
-_BLOCK = 5  # number of consecutive windows held out together, 2.5 s
+_BLOCK = 5  # number of consecutive windows that are held out together (2.5 s in all)
 _MAX_ERROR = 0.1  # maximum error on held-out segments, as a fraction of the thrust
 
 # Tests of a window in their order, with the reason for rejection.
@@ -62,10 +60,11 @@ TESTS = {
 
 
 class Points(msgspec.Struct):
-    """Quiet segments: mean force (N), mean sums of u^2 and u over the motors' commands u, and voltage.
+    """Mean values of quiet segments, each a point of the thrust curve; arrays with one entry per segment.
 
     Attributes:
-        volts: NaN if unknown.
+        square, linear: sums of u^2 and of u over the motors' commands u.
+        force, volts: thrust, N, and battery voltage, V; the voltage is NaN if unknown.
         start_s: start of each segment.
         motors: number of motors that are added up in `square` and `linear`.
         rejected: test (`TESTS`) -> number of windows that failed this test and passed the earlier tests.
@@ -83,7 +82,7 @@ class Points(msgspec.Struct):
         return msgspec.structs.replace(self, **{name: getattr(self, name)[which] for name in _BY_STRETCH})
 
 
-_BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # the arrays of `Points`
+_BY_STRETCH = ("square", "linear", "force", "volts", "start_s")  # names of the arrays in `Points`
 
 
 class ThrustCalibration(msgspec.Struct):
@@ -104,7 +103,7 @@ class ThrustCalibration(msgspec.Struct):
     residual_rms_n: float
     residual_worst_n: float
     residual_percent: float
-    residuals: list[tuple[float, float, float]]  # command, force, force minus curve
+    residuals: list[tuple[float, float, float]]  # per segment: command, force, force - curve(command)
 
 
 def quiet_points(
@@ -257,7 +256,7 @@ def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: b
 def best_fit(points: Points, square_share: float) -> tuple[float, Callable[[Points], Curve]]:
     """Return the cross-validation error of the best kind of curve, and the function that fits this kind.
 
-    A kind of curve uses or ignores the voltage, and its factor is fitted or configured (`square_share`).
+    A kind of curve uses or ignores the voltage, and fits the factor or assumes `square_share` for it.
     """
     known = bool(np.isfinite(points.volts).all())
     choices = [

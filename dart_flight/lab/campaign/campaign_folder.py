@@ -30,13 +30,13 @@ from dart_flight.run.workers import Failure, FinishedItem, Interrupt, work
 
 ASKED, TABLE, SUMMARY, PAGE, LOGS = "campaign.json", "flights.csv", "summary.json", "index.html", "logs"
 
-# An engine flies items in parallel, yields results as flights finish and starts none after an interrupt.
+# An engine flies items in parallel, yields results as flights finish and starts no flight after an interrupt.
 Landings = Generator[FinishedItem[Item, Flown], None, None]
 Engine = Callable[[ItemFlyer, Iterable[Item], Interrupt], Landings]
 
 
 class CampaignFolder(NamedTuple):
-    """A campaign and its folder."""
+    """An open campaign: the folder of its files, its specification and its loaded missions."""
 
     folder: Path
     campaign: Campaign
@@ -54,7 +54,7 @@ class CampaignFolder(NamedTuple):
 def open_campaign(asked: CampaignSpec | None, folder: Path, resume: bool) -> CampaignFolder:
     """Create a campaign, or open an existing one to continue it if `resume` is set.
 
-    A continued campaign must have the specification `asked`; None accepts any.
+    A continued campaign must have the specification `asked`; None accepts any specification.
     """
     path = folder / ASKED
     if not path.exists():
@@ -115,7 +115,7 @@ def read_rows(opened: CampaignFolder) -> list[JudgedRow]:
 
 
 def fly_locally(jobs: int) -> Engine:
-    """Return an engine that flies in processes of this machine (`run.workers`)."""
+    """Return an engine that flies in local processes (`run.workers`)."""
     return lambda flyer, items, interrupt: work(flyer, items, jobs, interrupt)
 
 
@@ -129,8 +129,8 @@ def fly(
 
     Args:
         interrupt: the operator's interrupt, which ends the campaign early; existing rows are kept.
-        progress: called with two numbers: the rows in the table, and the flights of this call that did not
-            complete.
+        progress: called with the number of rows in the table, and the number of flights of this call that did
+            not complete.
 
     Raises:
         FlightError: the disk is full, another process writes the table, or no process can fly.

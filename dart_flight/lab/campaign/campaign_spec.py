@@ -1,4 +1,4 @@
-"""The specification of a campaign: missions x settings x cases x seeds. It results in points and flights.
+"""The specification of a campaign, and its flights: each combination of mission, settings, case and seed.
 
 `dart-flight campaign` builds the specification from its options. For each measurement in the manual, a file
 (`tools/campaigns/*.yaml`) contains a specification and names a function that evaluates each flight.
@@ -30,7 +30,7 @@ from dart_flight.sim.draws import draw_world, parse_vary
 class Keep(StrEnum):
     """The flights whose logs are kept."""
 
-    FAILED = "failed"  # flights that did not complete
+    FAILED = "failed"  # logs of flights that did not complete
     ALL = "all"
     NONE = "none"
 
@@ -43,7 +43,7 @@ class CampaignSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         missions: mission files.
         config: vehicle configuration that replaces the configuration of each mission.
-        settings: configuration key -> its values, as written.
+        settings: configuration key -> the values to fly, as written.
         vary: entries that make the simulated world differ at random from the mission (`sim.draws`).
         runs: number of seeds. Each mission with each combination of values is flown with the seeds `seed`,
             `seed` + 1, and so on.
@@ -96,7 +96,7 @@ class Point(NamedTuple):
 
 
 class Item(NamedTuple):
-    """One flight: the number of its point and its seed."""
+    """One flight, identified by the number of its point and by its seed."""
 
     point: int
     seed: int
@@ -278,7 +278,7 @@ def command_of(asked: CampaignSpec, point: Point, seed: int) -> str:
     """Return the command that repeats one flight of a campaign."""
     words = ["dart-flight", "dry-run", point.path, "--fast", "--seed", str(seed)]
     words += [word for setting in asked.vary for word in ("--vary", setting)]
-    for key, value in zip(asked.settings, point.values, strict=False):  # further values are the case's
+    for key, value in zip(asked.settings, point.values, strict=False):  # later values belong to the case
         words += ["--set", f"{key}={value}"]
     if asked.config is not None:
         words += ["--config", asked.config]

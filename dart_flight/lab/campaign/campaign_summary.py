@@ -37,14 +37,14 @@ _MAX_FAILED = 1000  # maximum number of listed flights; the table contains all f
 _CLEAR_Z = 4.0  # minimum `Separation.z` that is significant if fifty quantities are compared
 _MIN_FAILED = 5
 _MAX_QUANTITIES = 4
-_MAX_OVER = 2  # maximum number of drawn quantities for one figure
+_MAX_OVER = 2  # maximum number of drawn quantities listed for one figure
 _MAX_POINTS = 400
-_SIGNIFICANT = 0.05  # p value, corrected for the number of quantities tried
+_SIGNIFICANT = 0.05  # upper limit of a significant p value, which is corrected for the number of quantities
 _OF_WALLS = ("contact", "wall_offset_m", "wall_yaw_deg")
 
 
 class Bin(msgspec.Struct, frozen=True):
-    """The success rate of flights whose drawn quantity lies in a range, or equals a word (`value`)."""
+    """The success rate of the flights in which a drawn quantity is in a range or is the word `value`."""
 
     completed: Share
     low: float | None = None
@@ -58,7 +58,7 @@ class Drawn(msgspec.Struct, frozen=True):
     Attributes:
         bins: bins of about equal counts, or one bin for each word.
         z: Mann and Whitney's statistic, in standard deviations, positive if the quantity is higher in failed
-            flights. If the quantity is a word, every word has a statistic, and `z` is the statistic with the
+            flights. If the values are words, every word has a statistic, and `z` is the statistic with the
             largest magnitude. None if all flights completed or no flight completed.
     """
 
@@ -75,7 +75,7 @@ class FigureTrend(msgspec.Struct, frozen=True):
         correlation: rank correlation (Spearman), -1 to 1.
         p_value: probability that, by chance alone, at least one of the tried quantities correlates so
             strongly (Bonferroni).
-        points: drawn quantity and figure of each of the first 400 flights.
+        points: (drawn quantity, figure) of the first 400 flights.
     """
 
     figure: str
@@ -120,7 +120,7 @@ class DifferingQuantity(msgspec.Struct, frozen=True):
     """A drawn quantity that differs between the completed flights and the flights of one end cause.
 
     Attributes:
-        failed, completed: median over the flights of each group; for a word, the fraction that drew the word.
+        failed, completed: median over the flights of each group; for a word, its frequency in the group.
         chance: probability that the quantity is higher in a failed flight than in a completed flight; 0.5
             means no difference.
     """
@@ -158,7 +158,7 @@ class CampaignSummary(msgspec.Struct, frozen=True):
     """The contents of `summary.json`, which `campaign --json` prints.
 
     Attributes:
-        flights, asked: number of rows in the table, and total number of flights.
+        flights, asked: number of rows in the table, and number of flights that the campaign asks for.
         errors: number of flights without a verdict, because a program error ended them. The rates exclude
             these flights.
         figures: distributions by column. Values are ordered by magnitude, so the `high` of the normal
@@ -358,7 +358,7 @@ def _can_affect(name: str, figure: str, mission: Mission) -> bool:
     if figure.startswith("c"):
         collisions = collisions[: int(figure[1 : figure.index("_")])]
     if any(c.wall.sought for c in collisions):
-        return True  # only the flight determines which simulated wall is hit
+        return True  # a probe searches for this wall and may hit any of the simulated walls
     wall, mode = rest, None
     if kind == "contact":
         wall, mode, _ = rest.rsplit(".", 2)
@@ -422,7 +422,7 @@ def _end_causes(rows: Sequence[_SummaryRow], names: Sequence[str]) -> list[EndCa
 def _differing_quantities(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], names: Sequence[str]
 ) -> list[DifferingQuantity]:
-    """Return the drawn quantities that differ most between the `ended` flights and the completed ones."""
+    """Return the drawn quantities that differ most between `ended` and completed (`fine`) flights."""
     if min(len(ended), len(fine)) < _MIN_FAILED:
         return []
     found: list[tuple[float, DifferingQuantity]] = []
@@ -446,7 +446,7 @@ def _differing_quantities(
 def _separations(
     ended: Sequence[_SummaryRow], fine: Sequence[_SummaryRow], i: int, name: str
 ) -> Iterator[tuple[str, list[float], list[float], Separation]]:
-    """Yield the name, the values in both groups and the separation, of a quantity or of each of its words."""
+    """For a quantity or each of its words, yield the name, both groups' values and their separation."""
     words = sorted({value for row in (*ended, *fine) if isinstance(value := row.drawn[i], str)})
     of_words: dict[str, str | None] = {f"share of {name} {word}": word for word in words}
     for shown, word in (of_words or {name: None}).items():

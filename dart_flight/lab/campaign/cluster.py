@@ -24,12 +24,12 @@ from dart_flight.lab.campaign.flight_job import Flown, ItemFlyer
 from dart_flight.recording.about import software_version
 from dart_flight.run.workers import Failure, FinishedItem, Interrupt, attempt
 
-_TIMEOUT_S = 30.0  # timeout of the scheduler's response and of the first worker
+_TIMEOUT_S = 30.0  # timeout for the scheduler's response and for the connection of the first worker
 _POLL_S = 0.05
 _END_S = 2.0
 _COUNT_S = 5.0  # interval between counts of the scheduler's workers
 _ABOUT = "dart_flight.recording.about"
-_AHEAD = 2  # submitted flights per thread, so that no thread waits for the next one
+_AHEAD = 2  # submitted flights per thread, so that no thread waits for its next flight
 
 
 def on_cluster(url: str) -> Engine:
@@ -67,7 +67,7 @@ def _connect(url: str) -> Any:
         def __del__(self) -> None:
             """Do nothing: `_work` closes the client, and closing an unconnected client takes a minute."""
 
-    for name in ("distributed", "distributed.client"):  # the errors raised below replace their messages
+    for name in ("distributed", "distributed.client"):  # the errors below report the same
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         with warnings.catch_warnings():
@@ -87,7 +87,7 @@ def _refuse_unfit(client: Any, url: str) -> None:
         raise FlightError(f"--scheduler {url}: no worker connected within {_TIMEOUT_S:g} s") from None
     own = software_version()
     try:
-        # This call needs only Python on the worker, so a missing module is reported and not raised.
+        # Workers without dart-flight can run `import_module`, so they return the error of the import.
         client.run_on_scheduler(importlib.import_module, _ABOUT)
         imported = client.run(importlib.import_module, _ABOUT, on_error="return")
         lacking = [worker for worker, answer in imported.items() if isinstance(answer, Exception)]

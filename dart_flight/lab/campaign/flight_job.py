@@ -1,4 +1,4 @@
-"""The flight of one item of a campaign, in any process. The result is a row, and the log if it is kept.
+"""One flight of a campaign, in any process. The result is a row of the table, and the log if it is kept.
 
 A specification may name the function that flies and the function that evaluates; the default columns come
 from `cells_of`.

@@ -69,7 +69,7 @@ class Table:
         try:
             written = os.write(self._file, line)
             if written < len(line):
-                # If the disk accepted only a part, writing the rest raises the reason.
+                # If the disk accepted only a part, the write of the rest raises an error with the reason.
                 os.write(self._file, line[written:])
         except OSError as error:
             os.ftruncate(self._file, self._length)
@@ -87,7 +87,7 @@ class Table:
 
 
 def _complete_length(path: Path) -> int:
-    """Return the length of the file without an incomplete last line, bytes."""
+    """Return the length of the file in bytes, without an incomplete last line."""
     data = path.read_bytes()
     # After a power loss, data that was not flushed may read as zeros.
     zeros = data.find(b"\0")

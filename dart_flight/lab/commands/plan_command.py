@@ -159,7 +159,7 @@ def _ways_out(plan: Plan, result: SearchResult, record: FlownRecord) -> Iterator
 
 
 def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict[int, str]]:
-    """Return the first plan from a given rank on whose mission is accepted, and the refused ranks."""
+    """Return the first plan from `rank` on that has an accepted mission, and the refused ranks."""
     refused: dict[int, str] = {}
     for plan in result.plans[rank - 1 :]:
         try:
@@ -172,7 +172,7 @@ def _first_flyable(result: SearchResult, rank: int) -> tuple[Plan, Mission, dict
 
 @contextlib.contextmanager
 def _search_bar() -> Iterator[Progress]:
-    """Show a progress bar if the output is a terminal. Yields the search's progress callback."""
+    """Yield the search's progress callback, which moves a progress bar if the output is a terminal."""
     console = messages()
     with rich.progress.Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("searching", total=None)

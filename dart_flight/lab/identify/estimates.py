@@ -1,4 +1,4 @@
-"""Results of an identification: estimates with intervals, the fit of each trial, and the whole result."""
+"""The result of `identify` and its parts: estimates, fits of single trials, and assessments of the fit."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Estimate(NamedTuple):
 
 
 class SetAside(NamedTuple):
-    """Numbers of samples in the window of a trial's fit.
+    """Numbers of samples that the fit of a trial excluded, for comparison with the samples in contact.
 
     Attributes:
-        free: number of excluded samples in free flight; they deviate by more than five standard deviations.
-        contact: excluded samples in contact, at most a tenth of `in_contact`. A sample in contact is excluded
-            only if the samples before and after it fit well.
-        in_contact: all samples in contact, over all channels.
+        free: number of excluded samples in free flight, which are off by more than five standard deviations.
+        contact: number of excluded samples in contact, at most a tenth of `in_contact`. A sample in contact
+            is excluded only if the samples before and after it fit well.
+        in_contact: number of samples in contact, excluded or not, summed over the channels.
     """
 
     free: int
@@ -45,7 +45,7 @@ class TrialFit(NamedTuple):
         onset_s: time of the onset in the recording.
         normal_m_s, tangential_m_s: velocity at the onset.
         samples_in_contact: number of position samples in contact.
-        push_m_s2: controller's acceleration along the normal before and after the contact; (0, 0) if free
+        push_m_s2: controller's acceleration along the normal before and after the contact; (0, 0) if the free
             flight was straight.
         used: `guards` if a model of the guards was fitted to the force readings, `samples` if the samples
             were fitted, `whole` if only speeds, peak and duration were used.
@@ -95,7 +95,7 @@ class TrialFit(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """Median absolute errors on held-out hits; None if they cannot be assessed.
+    """Median absolute errors on held-out hits; an error that cannot be assessed is None.
 
     Attributes:
         peak_force: error of the peak force, relative to the measured peak.
@@ -132,7 +132,7 @@ class HeldOut(NamedTuple):
 
 
 class FitQuality(NamedTuple):
-    """The assessment of a fit.
+    """The result of `assess_fit`: whether the fit is good, and why not.
 
     Attributes:
         good: False if a residual exceeds its limit in `expected`; None if nothing can be assessed.

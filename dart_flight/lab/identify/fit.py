@@ -34,7 +34,7 @@ from dart_flight.lab.identify.sample_result import SampleResult, fit_samples
 from dart_flight.lab.identify.speed_ratios import friction, restitution, tangential_ratio
 from dart_flight.lab.identify.trials import Trial, without_derived
 
-_PREDICTS = 0.1  # maximum error of peak and outgoing speed at which a fit with large residuals is kept
+_PREDICTS = 0.1  # a poor fit is kept if its relative errors of peak and outgoing speed are at most this
 _COEFFICIENTS = ("k", "f", "mu", "nu")
 _UNKNOWN = {
     "mu": "(friction) is unknown, because no trial shows friction that slows a motion along the wall",
@@ -44,8 +44,8 @@ _UNKNOWN = {
 # (docs/results/flight_identification.md).
 _OF_TURNING = 0.75
 _MOST_OF_TURNING = 0.8
-_K_OF_TURNING = 0.03  # relative error of k: rotation loads one guard more, which lowers k by up to 6 %
-_TURNS = 0.1  # relative change of the sliding speed above which the rotation is reported
+_K_OF_TURNING = 0.03  # relative error of k; rotation loads one guard more and lowers k by up to 6 %
+_TURNS = 0.1  # a note reports a rotation that changes the sliding speed by more than this fraction
 
 
 def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identification:

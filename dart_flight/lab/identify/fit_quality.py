@@ -28,13 +28,13 @@ from dart_flight.lab.identify.recorded_impact import noise_of
 from dart_flight.lab.identify.trials import Trial
 
 _NOISES = 3.0  # maximum ratio of a good fit's residual to the recording's noise
-_SHARE = 0.06  # allowed residual as a fraction of the contact's amplitude, for filters and simplifications
-_CONTACT_S = 0.1  # the contact begins and ends within this time of the turn
+_SHARE = 0.06  # allowed residual over the contact's amplitude, due to filters and the law's simplicity
+_CONTACT_S = 0.1  # maximum time from the contact's start to the turn, and from the turn to its end
 # Limits of median errors: twice the scatter of repeated real drops (docs/results/real_data.md).
 _MOST = (0.25, 0.1)  # peak force, outgoing speed
-_SAME_SPEED = 0.12  # maximum relative speed difference of repeats
+_SAME_SPEED = 0.12  # maximum relative difference between hits that count as hits at one speed
 _MIN_HITS = 3
-_EARNED = 0.1  # minimum relative improvement that is significant with so few hits
+_EARNED = 0.1  # minimum relative improvement over a baseline that counts as significant
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
 _Prediction = Callable[[LawProblem, LawProblem], tuple[Array, Array]]
 
@@ -50,7 +50,7 @@ def assess_fit(
     Args:
         whole: hits that were fitted as a whole, without their samples.
         residuals: quantity -> residual of the fitted samples.
-        expected: quantity -> largest residual of a good fit; other quantities are skipped.
+        expected: quantity -> largest residual of a good fit; quantities without an entry are not assessed.
     """
     off, most = dict(residuals), dict(expected)
     for mode, own in whole.by_mode().items():
@@ -71,8 +71,8 @@ def assess_fit(
 def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) -> dict[str, float]:
     """Return the largest residuals of a good fit of these trials, by quantity.
 
-    Each is the larger of two values: three times the noise of the recordings, and a small fraction of the
-    quantity's change in the contact, such as the penetration.
+    Each limit is the larger of two values: three times the noise of the recordings, and a small fraction of
+    the quantity's change in the contact (for positions, the penetration).
     """
     noise: dict[str, list[float]] = {}
     size: dict[str, list[float]] = {}
@@ -110,7 +110,7 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 
 
 def hold_out(problem: LawProblem) -> HeldOut:
-    """Return the errors on the hits at each speed, predicted from a fit to the hits at other speeds.
+    """Predict the hits at each speed from a fit to the hits at other speeds, and return the errors.
 
     The hits are of one mode. If all have the same speed, each hit is predicted from the other hits.
     """
@@ -193,7 +193,7 @@ def _scatter(problem: LawProblem, groups: NDArray[np.intp]) -> Errors:
 
 
 def _compare(law: Errors, ratios: Errors, words: str) -> tuple[bool, str]:
-    """Return whether the law has smaller errors in every assessable quantity, and a sentence on this."""
+    """Return whether the law has smaller errors than the baselines in every quantity, with a sentence."""
     named = zip(("peak force", "outgoing speed"), (FORCE_PROPORTIONAL, CONSTANT_RESTITUTION), strict=True)
     judged = [
         (name, mine, base)

@@ -15,10 +15,10 @@ from dart_flight.recording.measured_walls import WallMeasurements
 from dart_flight.recording.reader import Log, MissingDataError
 
 _BEFORE_S, _AFTER_S = 0.5, 0.4
-_POSES = 40  # number of poses required within 0.4 s of an onset; at 50 Hz, a contact falls between two poses
+_POSES = 40  # minimum number of poses up to 0.4 s from an onset; poses at 50 Hz can miss a contact
 _LONGEST_S = 0.15  # assumed duration of a contact whose end was not detected
-# Systematic relative errors measured on simulated flights (docs/results/flight_identification.md): PX4's
-# velocity loop also brakes during the contact.
+# Systematic relative errors, which arise because PX4's velocity loop also brakes during the contact. They
+# were measured on simulated flights (docs/results/flight_identification.md).
 ALLOWANCE = {"k": 0.03, "f": 0.15, "mu": 0.08, "nu": 0.6}
 
 

@@ -24,14 +24,14 @@ from dart_flight.lab.identify.solver import (
     stiffness_and_damping,
 )
 
-# Expected errors of outgoing over incoming speed, and of the logarithms of peak, duration and depth. Duration
-# and depth are imprecise, so they matter mainly if the peak is unknown.
+# Expected errors of the ratio of outgoing to incoming speed, and of the logarithms of peak, duration and
+# depth. Duration and depth are imprecise, so they matter mainly if the peak is unknown.
 SD_OUT, SD_PEAK, SD_CONTACT, SD_DEPTH = 0.04, 0.08, 0.3, 0.3
-_PRIOR_SD = 3.0  # prior standard deviation of a logarithm; keeps undetermined coefficients near the start
+_PRIOR_SD = 3.0  # prior standard deviation of log k and log f; keeps both near the first guess
 _LOW, _HIGH = np.log([LOWEST_K, LOWEST_F]), np.log([HIGHEST_K, HIGHEST_F])
 _LONGEST = 3.0  # assumed contact duration of a hit that never leaves the wall, in half periods
-_WIDEST_LOG = math.log(3.0)  # maximum half width of the interval of a known coefficient: a factor of three
-_ENOUGH_HITS = 3  # minimum number of hits for a meaningful spread
+_WIDEST_LOG = math.log(3.0)  # a coefficient is unknown if its interval is wider than a factor of 3
+_ENOUGH_HITS = 3  # minimum number of hits from which their spread is estimated
 
 
 class ImpactFit(LawFit):

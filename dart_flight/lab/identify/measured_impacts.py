@@ -25,10 +25,10 @@ from dart_flight.lab.identify.recorded_impact import (
 from dart_flight.lab.identify.trials import Series, Trial
 
 _WINDOW_S = 0.2  # duration of free flight that is used before the contact, and after it
-_GUARD_S = 0.03  # interval around the turn that is excluded until the contact's extent is known
+_GUARD_S = 0.03  # time before and after the turn that is excluded until the contact's extent is known
 _BEND_SD_M_S2 = 3.0  # standard deviation of a controller's acceleration before and after a wall hit
 _DEVIATES = 4.0  # number of standard deviations beyond which a position is not in free flight
-_MIN = 6  # duration and depth are measured from this number of samples in contact
+_MIN = 6  # minimum number of samples in contact for measuring duration and depth
 _RINGS = 0.3  # ratio of undershoot to peak beyond which the sensor or frame rings
 _DOMINATED = 0.5  # ratio of undershoot to peak beyond which the reading is useless; a wall only pushes
 _BRIDGED_S = 0.015  # maximum pause within one contact, if one corner lands before the others
@@ -75,7 +75,7 @@ class MeasuredImpact:
 
 
 def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
-    """Measure the hit in a trial; without `normal_m`, it must be a drop with `specific_force_m_s2`."""
+    """Measure the hit in a trial; a trial without `normal_m` must be a drop with `specific_force_m_s2`."""
     return _measure_motion(trial) if "normal_m" in trial.series else _measure_accelerometer(trial, mass_kg)
 
 
@@ -205,7 +205,7 @@ def _extent(
                 limit, free = float(time[i]), 0
             else:
                 free += 1
-                if free >= 3:  # two small errors may be a zero crossing
+                if free >= 3:  # one or two small errors may be a zero crossing inside the contact
                     break
         limits.append(limit)
     return min(limits[0], turn_s) - step, max(limits[1], turn_s) + step

@@ -83,7 +83,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     found: list[TrialImpact] = []
-    reach = 0.12  # time before and after a turn; longer than half of the longest contact
+    reach = 0.12  # s before and after a turn that are searched for the approach and rebound speeds
     for i in candidates:
         at = float(time[i])
         before = (time >= at - reach) & (time < at)
@@ -101,7 +101,7 @@ def find_impact(trial: Trial) -> TrialImpact:
             "no impact found: the motion never reverses quickly from approach to departure", source=trial.name
         )
     strongest = max(turn.rebound_m_s - turn.approach_m_s for turn in found)
-    # Later strong turns are bounces. Noise may split one turn into several turns.
+    # The first strong turn is the impact; later ones are bounces. Noise may split a turn into several.
     begun = next(t for t in found if t.rebound_m_s - t.approach_m_s >= 0.6 * strongest)
     same = [t for t in found if abs(t.turn_s - begun.turn_s) < 0.04]
     impact = min(same, key=lambda t: t.deepest_m)

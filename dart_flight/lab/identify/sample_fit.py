@@ -1,9 +1,9 @@
 """The fit of the law to the samples of several trials.
 
-One parameter vector describes all trials. All share one plane. Its position is known to one or two
-centimetres, and the fit estimates it. The trials of a mode share the mode's coefficients. Every trial has its
-own onset time and approach velocity, and a clock delay if it has both positions and forces. The law is the
-paper's closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
+One parameter vector describes all trials. All trials share one plane. Its recorded position may be wrong by
+one or two centimetres, so the fit estimates it. The trials of a mode share the mode's coefficients. Every
+trial has its own onset time and approach velocity, and a clock delay if it has both positions and forces. The
+law is the paper's closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
 In real flights the controller accelerates the vehicle before and after a wall contact. If the recorded free
 flight is curved, every wall hit gets three unknown constant accelerations: before, in and after the contact.
@@ -96,8 +96,8 @@ class FittedImpact:
     """A hit in a fit of samples.
 
     Attributes:
-        at: index of each unknown of the hit in the parameter vector. Other hits share `plane`, the logarithms
-            `k` and `f`, `mu` and `nu`, but not the remaining unknowns.
+        at: index of each unknown of the hit in the parameter vector. All hits share `plane`; the hits of a
+            mode share the logarithms `k` and `f`, `mu` and `nu`. Every hit has its own remaining unknowns.
         window: the fitted samples, by channel.
     """
 
@@ -203,7 +203,7 @@ class FittedImpact:
         low[self.at["speed"]], high[self.at["speed"]] = 0.4 * speed, 2.0 * speed
 
     def start(self, theta: Array) -> None:
-        """Set first guesses of the hit's own unknowns: the reversal, and lines through the approach."""
+        """Set first guesses of the hit's own unknowns, from the reversal and lines through the approach."""
         theta[self.at["speed"]], theta[self.at["onset"]] = -self._turn.approach_m_s, self._turn.turn_s
         for name, place in (("tangential_m", "y0"), ("vertical_m", "z0")):
             if name in self.window:
@@ -216,7 +216,7 @@ class FittedImpact:
                 theta[self.at[place]], theta[self.at["v" + place[0]]] = offset, slope
 
     def place_onset(self, theta: Array) -> float:
-        """Set the onset so that the vehicle reverses at the recorded time; return the remaining error, m."""
+        """Set the onset so that the vehicle reverses at the recorded time; return the position error, m."""
         contact = self.contact(theta)
         t = np.linspace(0.0, _duration_s(contact), 60)
         theta[self.at["onset"]] = self._turn.turn_s - float(t[np.argmin(contact.normal(t)[0])])
