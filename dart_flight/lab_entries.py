@@ -23,7 +23,7 @@ COMMANDS: Final = {
     "identify": "dart_flight.lab.commands.identify_command",
     "tables": "dart_flight.lab.commands.tables_command",
 }
-# Options of the flight part's commands that need the lab.
+# Functions of the lab that options and methods of the flight part call.
 LIVE_VIEW: Final = "dart_flight.lab.scene.live:open_live_view"  # --live
 MISSION_PICTURE: Final = "dart_flight.lab.report.figures.mission_figure:write_mission_picture"  # --plot
 ROOM_PICTURE: Final = "dart_flight.lab.report.figures.room_figure:write_room_picture"  # `survey --plot`

@@ -21,7 +21,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = {"3.11": "bookworm", "3.13": "trixie"}
-# The older C library counts: bookworm has glibc 2.36, trixie 2.41.
+# Wheels must suit the older C library: bookworm has glibc 2.36, and trixie has 2.41.
 PLATFORMS = [f"manylinux_2_{minor}_aarch64" for minor in range(36, 16, -1)] + ["manylinux2014_aarch64"]
 EXTRAS = ("sim", "identify", "report", "live")
 

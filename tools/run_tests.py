@@ -1,12 +1,12 @@
-"""`make test` and `make test-rest`: each test runs in one of the two.
+"""`make test` and `make test-rest`; each test runs in one of these two commands.
 
     python -m tools.run_tests          lint, types, and the tests without a mark of `REST`
     python -m tools.run_tests --rest   tests in real time, the other marked ones, and PX4
     python -m tools.run_tests --list   print the pytest commands of both
 
-Real-time tests run first and alone. If such a test exceeds a limit of time while the computer is busy, it
-counts as skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel.
-Ctrl-C ends everything.
+Real-time tests run first and alone. If such a test exceeds a time limit while the computer is busy, it counts
+as skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C
+ends everything.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ REST = "realtime or px4 or rest"
 
 
 def _files_with(mark: str) -> str:
-    """Return the test files that name a mark; to collect all test files takes each worker 5 s."""
+    """Return the test files that name a mark, because each worker needs 5 s to collect all test files."""
     paths = sorted(Path("tests").rglob("test_*.py"))
     return " ".join(str(path) for path in paths if re.search(rf"\b{mark}\b", path.read_text("utf-8")))
 
 
 TESTS = (f"pytest -m 'not ({REST})' -n auto --dist worksteal -rs",)
-# Four workers because the tests mostly wait.
+# Use four workers, because these tests mostly wait.
 REAL_TIME = f"pytest -m 'realtime and not px4' -n 4 --dist worksteal -rs {_files_with('realtime')}"
 REST_TESTS = (
     REAL_TIME,
@@ -69,7 +69,7 @@ def finish(process: subprocess.Popen[bytes]) -> int:
 
 
 def end(process: subprocess.Popen[bytes], send: Callable[[int], None]) -> None:
-    """End a process by SIGINT, so that it ends its children, and by SIGTERM if it ignores that."""
+    """End a process by SIGINT, so that it ends its children, and by SIGTERM if it ignores SIGINT."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if process.poll() is None:
             send(number)

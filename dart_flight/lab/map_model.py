@@ -1,8 +1,8 @@
-"""What a map shows, as data: the room of a mission, and the paths, places and vehicles in it.
+"""The content of a map as data: the room of a mission, and the paths, places and vehicles in the room.
 
 `lab/report/figures/map_drawing.py` draws a map from above and from the side, `lab/report/player.py` draws the
-animation of a page, and `lab/scene/drawing.py` the scene of a viewer. Points are (x, y, z) in the mission
-frame, metres, z up.
+animation of a page, and `lab/scene/drawing.py` draws the scene of a viewer. Points are (x, y, z) in the
+mission frame, metres, z up.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ THICKNESS_M = 0.12  # drawn thickness of a wall; the true thickness is unknown
 _OPPOSED, _SAME_PLANE_M = (
     -0.9,
     0.01,
-)  # largest cosine between opposed normals; largest offset between faces in one plane
-_BACK_TO_BACK_M = 0.4  # with less space behind a face, the wall's name is in front of it
+)  # largest cosine between opposite normals; largest offset between surfaces in one plane
+_BACK_TO_BACK_M = 0.4  # if less space is behind a wall, its name is written in front of it
 _LONGEST_ARROW_M = 0.45  # length of the arrow of the largest force
 
 
@@ -72,7 +72,7 @@ FlatLine = Array | Sequence[Vec2]
 
 
 class Line(NamedTuple):
-    """A line (n, 2) or (n, 3), or the outline of an area; the legend shows `legend`, or else the kind."""
+    """A line (n, 2) or (n, 3), or the outline of an area; an empty `legend` stands for the kind."""
 
     kind: MapKind
     points: Array
@@ -113,7 +113,7 @@ class Label(NamedTuple):
     """A text at a point.
 
     Attributes:
-        away: preferred direction from the point to the label. (0, 0): no preference.
+        away: preferred direction from the point to the label. (0, 0) if no direction is preferred.
     """
 
     text: str
@@ -128,7 +128,7 @@ class DrawnWall(NamedTuple):
     Attributes:
         plane: the plane of first touch, where the vehicle's centre is.
         surface: the wall's surface, which the vehicle's side touches.
-        thickness_m: drawn thickness behind the surface: at most half of a partition.
+        thickness_m: drawn thickness behind the surface; at most half the distance to an opposite surface.
         name_in_front: whether the name is in front of the wall, because the space behind it is too narrow.
     """
 
@@ -155,12 +155,12 @@ def named_material(thing: Wall | Post) -> str:
 
 
 class RoomMap(msgspec.Struct):
-    """What a map shows.
+    """The content of a map.
 
     Attributes:
         north_rad: direction of north, counter-clockwise from x.
-        goal: end of the flight, at its altitude after all waypoints.
-        newton_per_m: scale of the arrows of forces.
+        goal: the goal, at the altitude of the flight after all waypoints.
+        newton_per_m: scale of the force arrows.
     """
 
     airframe: Airframe
@@ -226,7 +226,7 @@ def drawn_walls(walls: Sequence[Wall], airframe: Airframe) -> Iterator[DrawnWall
 
 
 def _gap_behind_m(own: Wall, surfaces: Sequence[Wall]) -> float:
-    """Return the distance to the nearest surface behind `own` that faces the other way; infinity if none."""
+    """Return the distance to the nearest opposite surface behind `own`; infinity if there is none."""
     gaps = [math.inf]
     for face in surfaces:
         opposed = own.normal[0] * face.normal[0] + own.normal[1] * face.normal[1] < _OPPOSED

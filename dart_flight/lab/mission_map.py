@@ -85,7 +85,7 @@ def _add_trajectory(shown: RoomMap, mission: Mission, planned: PredictedFlight) 
 
 
 class PlannedHit(NamedTuple):
-    """A hit as the flight model predicts it; without a prediction, as the mission plans it.
+    """A hit, predicted by the flight model, or planned by the mission if there is no prediction.
 
     Attributes:
         at: position of the vehicle's centre, mission frame, m.

@@ -199,7 +199,7 @@ class SteppedSimulation:
 
     def _tick(self) -> None:
         autopilot = self._autopilot
-        autopilot.set_trajectory(self._setpoint)  # repeat the setpoint, like MAVSDK
+        autopilot.set_trajectory(self._setpoint)  # MAVSDK also repeats the setpoint
         if self._servo is not None:
             self._vehicle.set_horn(self._servo.pulse_at(autopilot.time_us))
         self._vehicle.advance()

@@ -49,7 +49,7 @@ _MAV_TYPES = {
     **{1: "plane", 4: "helicopter", 7: "airship", 8: "balloon", 10: "rover", 11: "boat", 12: "submarine"},
     **dict.fromkeys(range(19, 26), "VTOL"),
 }
-_STILL = 1e-3  # fraction of the range; outputs that vary less are not motors
+_STILL = 1e-3  # minimum variation of a motor's output, as a fraction of the range
 
 
 class ULogFile(msgspec.Struct):

@@ -3,10 +3,10 @@ process.
 
     python -m tools.bench.impact_source PORT IMPACTS PERIOD_S
 
-It sends the telemetry of the embedded autopilot, armed and in offboard mode. Every PERIOD_S seconds it adds
-the contact model's force pulse in rigid mode to the IMU samples. At the end it prints one JSON object with
-the sending time of every IMU sample and the receiving time of every setpoint, in nanoseconds of the host's
-monotonic clock.
+The source sends the telemetry of the embedded autopilot, armed and in offboard mode. Every PERIOD_S seconds
+it adds the contact model's force pulse in rigid mode to the IMU samples. At the end it prints one JSON object
+with the sending time of every IMU sample and the receiving time of every setpoint, in nanoseconds of the
+host's monotonic clock.
 """
 
 from __future__ import annotations

@@ -213,7 +213,7 @@ def _match(recoveries: list[Setpoint], record: Record) -> list[float]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """Return a percentile; `share` is from 0 to 1."""
+    """Return the percentile `share` (0 to 1) of the values."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, round(share * (len(ordered) - 1)))]
 

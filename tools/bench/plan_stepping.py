@@ -55,7 +55,7 @@ class Ends(NamedTuple):
 def step_everything(
     scenario: Scenario, stages: Stages, normal: Array, tangential: Array, grid: ApproachGrid, h: float = 1e-3
 ) -> list[Ends]:
-    """Return all mode sequences of a scenario's first sequence of walls, without constraints."""
+    """Simulate every mode sequence of a scenario's first sequence of walls, without constraints."""
     walls = [scenario.walls[name] for name in scenario.sequences[0]]
     shape = np.broadcast_shapes(normal.shape, tangential.shape)
     vn, vt = (np.broadcast_to(v, shape).ravel() for v in (normal, tangential))

@@ -2,8 +2,8 @@
 
     python -m tools.bench.pose_source HZ
 
-It prints its URL, then sends the resting vehicle of `tools.bench.impact_source` as a tracked body HZ times a
-second until it is killed.
+The source prints its URL, then sends the resting vehicle of `tools.bench.impact_source` as a tracked body HZ
+times a second until it is killed.
 """
 
 from __future__ import annotations

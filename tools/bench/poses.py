@@ -14,7 +14,7 @@ from typing import Any
 
 from tools.bench.latency import measure, percentile
 
-IMPACTS = 200  # take a minute for each rate
+IMPACTS = 200  # this number of impacts takes a minute for each rate
 RATES_HZ = (100, 240)
 
 

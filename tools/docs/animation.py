@@ -30,8 +30,8 @@ _LOOK = Look(6.6, 9.0)
 _FRAMES_PER_S = 14
 _FAST, _SLOW = 1.0, 0.09  # speed relative to real time
 _SLOW_BEFORE_S, _SLOW_AFTER_S = 0.04, 0.16
-_BEFORE_S, _AFTER_S = 1.4, 3.2  # before the first hit, after the last
-_HOLD = 14  # frames at the end
+_BEFORE_S, _AFTER_S = 1.4, 3.2  # shown time before the first hit and after the last hit
+_HOLD = 14  # number of copies of the last frame
 _ARROW_M_PER_N = 0.0075
 _WINDOW_S = 0.3
 

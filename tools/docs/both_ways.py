@@ -33,7 +33,7 @@ from tools.docs.animation import shrink
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "img"
 _LOOK = Look(6.6, 8.5)
-_FRAMES_PER_S, _HOLD = 12, 18  # `_HOLD`: frames at the end
+_FRAMES_PER_S, _HOLD = 12, 18  # `_HOLD`: number of copies of the last frame
 _BEFORE_S = 0.3
 _LINES = {COLLIDING: TRUE, FREE: ESTIMATED}
 

@@ -3,8 +3,8 @@
     l = R_cam - r cos(theta),    theta_0 <= theta <= theta_0 + 90 degrees
 
 l is the translation of the rods. With theta_0 = 0 they are retracted at theta_0 (arms flexible) and inserted
-into the arms' slots at theta_0 + 90 degrees (arms rigid). The paper gives the law without sizes, so these are
-configuration. Angles are degrees, lengths millimetres, as in the configuration.
+into the arms' slots at theta_0 + 90 degrees (arms rigid). The paper gives the law without sizes, so the
+configuration contains them. Angles are degrees, lengths millimetres, as in the configuration.
 """
 
 from __future__ import annotations

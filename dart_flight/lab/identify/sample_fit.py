@@ -36,19 +36,19 @@ PUSHES = ("before", "after")
 # is shorter than the controller's lag. Positions alone cannot separate this change from stiffness.
 _PUSH_CHANGE_SD_M_S2 = 1.0
 _DELAY_SD_S = 0.01  # prior standard deviation of the delay between position and force clocks
-_FREE_S = (0.25, 0.15)  # free flight used before and after a wall contact; later, the recovery acts
+_FREE_S = (0.25, 0.15)  # durations of fitted free flight before and after a wall contact
 _ENOUGH_TRIALS = 5  # minimum number of trials for resampling whole trials
 _STRETCH = 12  # number of free-flight samples resampled together; a contact is resampled in thirds
 _CURVED = 4.5  # number of standard deviations beyond which a curvature in free flight is not noise
 _SETTLED_S = 0.3  # assumed duration of a contact that never ends
 _POSITIONS = ("normal_m", "tangential_m", "vertical_m")
-# Initial standard deviations of the other channels, replaced by those of the residuals.
+# Initial standard deviations of the channels that are not positions; `reweight` replaces them.
 _FIRST_SD = {
     "normal_m_s": 0.05, "normal_force_n": 2.0, "tangential_m_s": 0.05, "tangential_force_n": 2.0,
 }  # fmt: skip
 
 
-@functools.lru_cache(maxsize=64)  # most unknowns that a Jacobian varies leave the contact unchanged
+@functools.lru_cache(maxsize=64)  # most unknowns of a Jacobian do not change the contact
 def _contact(
     log_k: float, log_f: float, mu: float, speed: float, acceleration: float, mass_kg: float, onset: Onset
 ) -> ContactMotion:
@@ -339,7 +339,7 @@ class SampleFit(LawFit):
         return max(squares / max(data - self.size, 1), 1e-12) * correlated
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return a group of rows for each trial; with few trials, for each segment of each channel."""
+        """Return a group of rows for each trial; if trials are few, for each segment of each channel."""
         found: list[NDArray[np.intp]] = []
         row = 0
         for fitted in self.hits:

@@ -17,14 +17,14 @@ from dart_flight.lab.identify.solver import stiffness_and_damping
 
 _MIN_IN_CONTACT = 4
 _SLOW_SAMPLING_S = 0.006
-_WIDEST_LOG = math.log(10.0)  # maximum half width of the interval of a known coefficient: a factor of ten
+_WIDEST_LOG = math.log(10.0)  # a coefficient is unknown if its interval is wider than a factor of 10
 _BAD_FIT = 4.0  # the law does not fit if residual in contact / noise in free flight exceeds this ratio
 _MIN_JUDGED = 4  # minimum number of samples, both in contact and in free flight, for reporting a misfit
 
 
 @dataclass
 class SampleResult:
-    """The result of a fit of samples, part of `Identification`; empty if all trials have too few samples.
+    """The part of `Identification` that the fit of samples gives; empty if all trials have too few samples.
 
     Attributes:
         bad: modes in which the law does not fit the samples of a contact.
@@ -128,7 +128,7 @@ def _conclude(fit: SampleFit) -> SampleResult:
 
 def _friction(fit: SampleFit, halves: Array, mode: str) -> Estimate | None:
     theta, moving = fit.theta, False
-    change = 0.0  # largest impulse / mass, m/s; this value times mu is the exponent of the deceleration
+    change = 0.0  # largest impulse / mass, m/s; friction slows the vehicle by exp(-mu * change)
     for fitted in fit.of_mode(mode):
         if "vy" in fitted.at:
             j = fitted.at["vy"]
@@ -153,7 +153,7 @@ def _vertical(fit: SampleFit, halves: Array, mode: str) -> tuple[Estimate | None
 
 
 def _misfit(fitted: FittedImpact, errors: dict[str, Array]) -> tuple[float | None, str]:
-    """Return the ratio of residual in contact to noise for the worst channel, and its name."""
+    """Return the ratio of residual in contact to noise for the worst channel, and the channel's name."""
     worst: float | None = None
     channel = ""
     for name, error in errors.items():

@@ -2,7 +2,7 @@
 
 The intervals hold even if the law is wrong. The statistical interval follows from the information in data and
 priors, and holds if the law is right. The resampled interval follows from the first-order change of the
-estimate when the data are resampled. The resampled interval is used if it is wider than chance explains.
+estimate when the data are resampled. If it is wider than chance explains, it replaces the statistical one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 
 LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range, N/m and N s/m
-_AT_BOUND = 1e-3  # a logarithm that is closer to a bound counts as at the bound
+_AT_BOUND = 1e-3  # maximum distance of a logarithm from a bound at which it counts as at the bound
 _BY_CHANCE = 1.3
 
 

@@ -23,7 +23,7 @@ def _ratio(
 ) -> Estimate | None:
     """Return the median of ratios with a 95 % interval, both clipped to `least` and `most`.
 
-    The interval is the wider one of two: from the spread of the ratios, and from their uncertainty.
+    Two intervals follow from the spread and from the uncertainty of the ratios; the wider one is used.
     """
     n = shares.size
     if not n:
@@ -38,7 +38,7 @@ def _ratio(
 
 
 def restitution(problem: LawProblem) -> Estimate | None:
-    """Return outgoing over incoming normal speed; in a drop, both at the height of first touch."""
+    """Return outgoing over incoming normal speed; a drop has these speeds at the height of first touch."""
     e = problem.speed_out / problem.speed_in
     sd = np.hypot(problem.column("sd_out_m_s"), e * problem.column("sd_in_m_s")) / problem.speed_in
     known = np.isfinite(e)
@@ -46,7 +46,7 @@ def restitution(problem: LawProblem) -> Estimate | None:
 
 
 def _sliding(problem: LawProblem) -> tuple[LawProblem, Array, Array, Array]:
-    """Return the hits with motion along the wall: the velocities before and after, and their deviation."""
+    """Return hits with motion along the wall, their velocities before and after, and standard deviations."""
     before, after = problem.column("tangential_in_m_s"), problem.column("tangential_out_m_s")
     sd = problem.column("sd_tangential_m_s")
     slides = (np.abs(before) >= np.maximum(_MIN_ALONG_M_S, 5.0 * sd)) & np.isfinite(after)

@@ -26,7 +26,7 @@ from dart_flight.recording.reader import read_log
 # A trial needs one of these columns, which show the impact.
 _ANY_OF = ("normal_m", "normal_m_s", "specific_force_m_s2", "normal_acceleration_m_s2")
 _TIME = "time_s"
-_AT_A_WALL = ("vertical_m", "tangential_force_n")  # unused in a drop
+_AT_A_WALL = ("vertical_m", "tangential_force_n")  # columns that a drop does not use
 _UP = np.array([0.0, 0.0, -1.0])  # in NED
 _FARTHEST_M = 50.0
 
@@ -136,7 +136,7 @@ def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Tri
         position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
         series["normal_m"] = Series(time, position)
         turns = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
-        if turns.size:  # the fastest turn defines the plane
+        if turns.size:  # the fastest turn is at the plane
             jumps = [speed[i + 1 : i + 8].max() - speed[max(i - 7, 0) : i + 1].min() for i in turns]
             series["normal_m"] = Series(time, position - position[turns[int(np.argmax(jumps))]])
     if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:
@@ -170,7 +170,7 @@ def read_ulog(path: Path, reading: TrialReading) -> list[Trial]:
 
     At a wall, the mean horizontal specific force before the impact is subtracted, because thrust and tilt
     cause this mean in a steady approach. The force is the mass times the remaining specific force. In a drop,
-    the specific force itself is read.
+    nothing is subtracted.
     """
     source = str(path)
     if reading.wall is None and not reading.drop:

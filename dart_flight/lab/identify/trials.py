@@ -96,8 +96,8 @@ class TrialReading:
     Attributes:
         mode: mode of trials that do not record their mode; for a flight, only collisions in this mode are
             used.
-        surface: for a flight, only collisions with this material are used. If it is None, all collisions must
-            be with one material.
+        surface: material; for a flight, only collisions with this material are used. If it is None, all
+            collisions must be with one material.
         drop: whether gravity acts along the normal.
         contact_distance_m: distance between the surface and the vehicle's centre at first touch. The readers
             subtract it from the normal positions; 0 if these already count from first touch.

@@ -75,7 +75,7 @@ def weigh(errors: Sequence[Array], contacts: Sequence[Mask]) -> tuple[list[Array
     hit = np.concatenate([e[c] for e, c in zip(errors, contacts, strict=True)])
     robust = deviation_of(free if free.size >= 8 else np.concatenate((free, hit)))
     inside = free[np.abs(free) <= _OUTLIER * robust]
-    if hit.size >= 4 and deviation_of(hit) < _LIKE_FREE * robust:  # the noise is the same
+    if hit.size >= 4 and deviation_of(hit) < _LIKE_FREE * robust:  # as noisy as free flight
         inside = np.concatenate((inside, hit[np.abs(hit) <= _OUTLIER * robust]))
     sd = max(float(np.sqrt(np.mean(inside**2))) if inside.size else robust, 1e-7)
     scale = deviation_of(hit) if hit.size else sd

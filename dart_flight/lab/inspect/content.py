@@ -31,8 +31,8 @@ WANTED_HZ = {
     "actuator": 50.0,
 }
 _MIN_IMU_HZ = 90.0  # minimum IMU rate; at a lower rate, a rigid contact has at most four samples
-_RISEN_M = 0.3  # height above the ground after take-off
-_TAKEOFF_S = 5.0  # duration of the take-off if the height is unknown
+_RISEN_M = 0.3  # height above the ground at which a flight begins
+_TAKEOFF_S = 5.0  # assumed duration of the take-off if the height is unknown
 _LANDED_S = 1.0  # above `_HIGH_M`, a shorter landed state means that the motors were cut in the air
 _HIGH_M = 2.0
 _LOW_M = 0.5
@@ -105,7 +105,7 @@ def height_at(track: Track, t_s: float) -> float:
 
 
 def flights_of(log: ULogFile, track: Track) -> list[tuple[float, float]]:
-    """Return start and end (s) of the flights of the armed vehicle.
+    """Return start and end (s) of each flight during which the vehicle was armed.
 
     A flight starts at 0.3 m height and ends when PX4 reports a landing.
     """

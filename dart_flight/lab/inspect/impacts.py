@@ -29,12 +29,12 @@ from dart_flight.lab.inspect.specific_thrust import SpecificThrust, is_thrust_kn
 from dart_flight.lab.track import Track
 from dart_flight.lab.ulog import ULogFile
 
-_BEYOND_THRUST = 0.5  # at up to 45 degrees tilt, thrust cannot explain this fraction of a contact's impulse
-REMEMBERED = 256  # number of samples for which the detector waits for a peak
+_BEYOND_THRUST = 0.5  # fraction of a contact's impulse that thrust cannot explain at 45 degrees tilt or less
+REMEMBERED = 256  # number of kept estimates; the detector waits at most so many samples for a peak
 _CONFIRMED = 0.3  # minimum ratio of fitted peak to threshold; the fit may reduce a short pulse to a third
 _HOVERS_M_S = 1.0  # highest speed at which the assumed hover thrust holds
 _TOUCHDOWN_S = 3.0  # maximum time from the touch-down until PX4 reports a landing
-_FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # the vehicle falls if the magnitude of its specific force is lower
+_FALLING_M_S2 = 0.6 * GRAVITY_M_S2  # maximum magnitude of the specific force of a falling vehicle
 _FALLING_S = 0.25  # averaging window of the specific force in a fall
 _FALLEN_S = 1.0  # a fall is searched in this interval before the ground contact
 _JOLT_S = 0.02
@@ -107,13 +107,13 @@ Listener = Callable[[Estimated], object]
 
 
 class ThresholdCrossing(msgspec.Struct):
-    """A crossing of the detection threshold by the force, with its peak.
+    """A crossing of the detection threshold by the force, with the peak of the force.
 
     Attributes:
         peak: the fitted peak; None if the log ends before the peak is known.
         beyond_thrust: whether no thrust of the motors explains the crossing: `Estimated.beyond_thrust`
-            contributes at least half of the impulse up to the peak, or its mean over the detector's short
-            window exceeds the threshold.
+            contributes at least half of the impulse up to the peak, or has a mean above the threshold in the
+            detector's short window.
         noise_n: noise of the mean over the detector's short window.
         level: horizontal component of the thrust's direction, 0 for a level vehicle.
     """
@@ -169,11 +169,11 @@ class InspectedFlight(msgspec.Struct):
     duration_s: float
     flight_s: float
     noise_n: float | None
-    noise_m_s2: float  # noise of one sample and axis, median over the flight
+    noise_m_s2: float  # median over the flight of the noise of one sample and axis
     noise_short_m_s2: float  # noise of the means over the detector's two windows
     noise_long_m_s2: float
     threshold_n: float | None
-    threshold_m_s2: float  # lowest threshold, median over the flight
+    threshold_m_s2: float  # median over the flight of the lowest threshold
     floor_rigid_m_s2: float  # smallest peaks of reliably detected contacts
     floor_flexible_m_s2: float
     drag_per_s: float
@@ -201,7 +201,7 @@ class InspectedSeries(msgspec.Struct):
 
 
 class ImpactScan:
-    """A scan of one log for impacts, by the flight core's senses.
+    """A scan of one log for impacts with the flight core's estimators (`Senses`).
 
     Args:
         vehicle: the result of `vehicle_for`.
@@ -398,7 +398,7 @@ def falls(track: Track, flying: list[tuple[float, float]]) -> list[float]:
         t = float(track.imu_s[i])
         if not any(a <= t <= b for a, b in flying) or (found and t - found[-1] < _CRASH_LASTS_S):
             continue
-        # Drag supports a fast fall, so the weightless part is at the beginning of the interval.
+        # Drag grows in a fall, so the specific force is small only in the first part of the interval.
         before = slice(*np.searchsorted(track.imu_s, (t - _FALLEN_S, t - _FALLING_S)))
         if (carried[before] < _FALLING_M_S2).any():
             found.append(t)
@@ -416,8 +416,8 @@ def _mean_size(track: Track, window_s: float) -> Array:
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
     """Merge impacts and crashes in order.
 
-    A crash replaces the impacts of its fall. Impacts in the next seconds are part of the crash, and later
-    impacts are `untold`.
+    A crash replaces the impacts that are within `_FALLING_S` of it. Impacts in the next seconds are part of
+    the crash, and later impacts are `untold`.
     """
     kept = list(crashes)
     for impact in impacts:

@@ -82,7 +82,7 @@ def _collective(track: Track, curve: SpecificThrust | None, motors: int) -> Iter
 def vehicle_for(
     vehicle: VehicleConfig, log: ULogFile, curve: SpecificThrust | None, drag: float
 ) -> VehicleConfig:
-    """Return the configured vehicle, whose thrust, drag and IMU interval are those of the log."""
+    """Return the configured vehicle with the thrust, drag and IMU interval of the log."""
     replace, mass = msgspec.structs.replace, vehicle.airframe.mass_kg
     all_n = mass * (curve.full_m_s2 if curve else 2.0 * GRAVITY_M_S2)
     imu = log.first("sensor_combined") or {}

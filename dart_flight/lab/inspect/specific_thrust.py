@@ -17,7 +17,7 @@ from dart_flight.lab.track import Track
 
 _MAX_DRAG_PER_S = 1.0
 # Within a contact (50 to 180 ms), the thrust of a fast vehicle may change and return, because its motors
-# follow commands in 100 ms. Resolving such a change needs at least two motor outputs in this time.
+# follow commands in 100 ms. Resolving such a change needs at least two motor outputs in 100 ms.
 _THRUST_CHANGES_S = 0.1
 THRUST_KNOWN_HZ = 2.0 / _THRUST_CHANGES_S
 _JITTER = 1.5  # if an interval between motor outputs has more periods, an output is missing

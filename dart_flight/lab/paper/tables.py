@@ -36,12 +36,12 @@ DROPS = (
     PublishedDrop(0.2, Mode.FLEXIBLE, 0.145, 1.34),
 )
 DROP_SURFACE, FLIGHT_SURFACE = "concrete", "acrylic"
-SURFACES = (DROP_SURFACE, FLIGHT_SURFACE, "wood")  # surfaces that the tables need
+SURFACES = (DROP_SURFACE, FLIGHT_SURFACE, "wood")  # materials that the tables need
 # Collision in flight with acrylic (Sec. V-A): approach, and agreement of the paper's predicted and measured
 # peak acceleration ("accuracy", over three trials). The measured values are not published.
 FLIGHT_APPROACH_M_S = (-1.0, 0.5)
 FLIGHT_ACCURACY = {Mode.FLEXIBLE: 0.88, Mode.RIGID: 0.82}
-STIFFNESS_RATIO = 7.0  # abstract and conclusion: "seven times higher stiffness"
+STIFFNESS_RATIO = 7.0  # the paper's abstract and conclusion: "seven times higher stiffness"
 
 
 def published_drop(height_m: float, mode: Mode) -> PublishedDrop | None:
@@ -181,7 +181,7 @@ def dual_rows(vehicle: VehicleConfig) -> Iterator[DualRow]:
 
 
 class FlightRow(NamedTuple):
-    """Peak forces of the paper's collision in flight, and the same forces divided by the mass."""
+    """The model's peak forces in the paper's collision in flight, also divided by the mass."""
 
     mode: Mode
     onset: Onset
@@ -196,7 +196,7 @@ class FlightRow(NamedTuple):
 def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
     """Yield the paper's collision in flight (Sec. V-A), once for each mode and onset rule.
 
-    The vehicle must have `acrylic`.
+    The vehicle needs the material `acrylic`.
     """
     mass = vehicle.airframe.mass_kg
     for onset in Onset:
@@ -216,7 +216,7 @@ def flight_rows(vehicle: VehicleConfig) -> Iterator[FlightRow]:
 
 
 def stiffness_ratios(vehicle: VehicleConfig) -> dict[str, float]:
-    """Return rigid over flexible stiffness of each material that has both."""
+    """Return the ratio of rigid to flexible stiffness of each material that has both modes."""
     return {name: m.rigid.k / m.flexible.k for name, m in vehicle.materials.items() if m.flexible}
 
 
@@ -225,7 +225,7 @@ def _rows(rows: list[list[str]]) -> str:
 
 
 def page(vehicle: VehicleConfig) -> str:
-    """Return `docs/paper_tables.md`, which compares the paper's figures with the model's."""
+    """Return the text of `docs/paper_tables.md`, which compares the paper's figures with the model's."""
     drops = [
         [
             f"{row.published.height_m:g} m {row.published.mode.value}",

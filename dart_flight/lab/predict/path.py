@@ -84,7 +84,7 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Return the values of a series at the times `t`: 0 before and the last value after the contact."""
+        """Evaluate a series at the times `t`; its value is 0 before the contact, and its last value after the contact."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
@@ -94,7 +94,7 @@ class _Integral:
         return value
 
     def _outside(self, t: Array) -> tuple[Array, Array]:
-        """Return min(t, 0), and the time since the end of the contact (0 before that)."""
+        """Return min(t, 0), and the time since the end of the contact (0 before the end)."""
         return np.minimum(t, 0.0), np.maximum(t - self._end, 0.0)
 
 
@@ -135,7 +135,7 @@ class ContactMotion:
         self.turn_s = float(events.turn) / self._omega if self.has_contact else 0.0
         early = onset is Onset.LCP
         self.onset_m = -coefficients.lead_s * normal_m_s if early else 0.0
-        # Quadrature stops when the force has decayed: near critical damping, long before the release.
+        # Integrate until the force has decayed, which near critical damping is long before the release.
         zeta = float(self._course.zeta)
         slowest = min(zeta, 1.0 / (zeta + math.sqrt(max(zeta * zeta - 1.0, 0.0)))) if zeta > 0.0 else 1.0
         self._horizon = min(self.end_s, _SETTLED / (slowest * self._omega))

@@ -40,7 +40,7 @@ _FASTEST_M_S = 100.0  # maximum input speed; a larger input probably has a wrong
 
 
 class Condition(NamedTuple):
-    """The choices of a prediction, and the coefficients that follow from them."""
+    """The conditions of a contact to predict, and the coefficients that follow from these conditions."""
 
     surface: str
     mode: Mode

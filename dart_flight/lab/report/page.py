@@ -1,4 +1,4 @@
-"""The pages of one flight, and of several flights of one mission: the values that the templates print.
+"""The values that the templates print on the page of one flight or of several flights of one mission.
 
 The page of one flight contains a script that animates the flight. If the browser runs no scripts, only the
 animation is missing.
@@ -356,7 +356,7 @@ def _noise_table(flight: RecordedFlight) -> PageTable:
 def disagreements(flights: Sequence[RecordedFlight]) -> dict[str, dict[str, tuple[float, float]]]:
     """Compare measured peak forces with the contact law at the measured velocity.
 
-    The flights are of vehicles with the same materials.
+    All flights must be of vehicles with the same materials.
 
     Returns:
         Material -> mode and force (such as `rigid, normal`) -> (mean disagreement, half the width of the

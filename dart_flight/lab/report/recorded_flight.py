@@ -63,7 +63,7 @@ class Compared(msgspec.Struct):
 
     @property
     def error_percent(self) -> float | None:
-        """The measured value's error relative to the true value, or else the predicted or planned value.
+        """The measured value's error relative to the first known of the true, predicted and planned values.
 
         It is None for a velocity near 0, because the ratio is meaningless.
         """
@@ -318,5 +318,5 @@ def _timing(course: FlightArrays) -> Timing:
 
 
 def percentile(values: Array, share: float) -> float:
-    """Return a percentile; NaN if there are no values."""
+    """Return the percentile `share` (0 to 100) of the values; NaN if there are no values."""
     return float(np.percentile(values, share)) if values.size else math.nan

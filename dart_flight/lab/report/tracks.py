@@ -103,7 +103,7 @@ def setpoint_series(course: FlightArrays) -> SetpointSeries:
 
 
 def in_force(times: Array, at_s: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of the latest of `times` up to each of `at_s`, and whether there is such a time."""
+    """For each of `at_s`, return the index of the latest of `times` until then, and whether one exists."""
     index = np.searchsorted(times, at_s, side="right") - 1
     return np.maximum(index, 0), index >= 0
 
@@ -153,7 +153,7 @@ def power(course: FlightArrays, mission: Mission) -> Power:
 
 
 def stretches(moments: list[tuple[float, V]], end: float) -> list[tuple[float, float, V]]:
-    """Return (begin, end, value); each value ends when the next begins, and the last value ends at `end`."""
+    """Return (begin, end, value) of (begin, value); a value ends when the next begins, the last at `end`."""
     stops = [t for t, _ in moments[1:]] + [end] if moments else []
     return [(t, stop, value) for (t, value), stop in zip(moments, stops, strict=True)]
 

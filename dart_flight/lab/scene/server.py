@@ -26,7 +26,7 @@ from dart_flight.lab.scene.translation import LASTING, SceneTranslator
 from dart_flight.recording.encoding import decode
 from dart_flight.recording.reader import DECODERS
 
-_BACKLOG = 256  # maximum number of messages queued for a slow viewer; then the oldest are dropped
+_BACKLOG = 256  # maximum number of messages queued for a slow viewer; the server drops older messages
 _CLOCK_US = 50_000
 _JUMP_US = 1_000_000
 
@@ -74,7 +74,7 @@ class Broadcast:
             for message in messages:
                 self._channels.publish(message)
         t_us = getattr(record, "t_us", 0)
-        # Send no step back in time, which viewers treat as a jump: downsampled records are late.
+        # Downsampled records are late. Skip their times, because viewers treat a step back as a jump.
         if t_us and not -_JUMP_US < t_us - self._clock_us < _CLOCK_US:
             self._clock_us = t_us
             self._server.broadcast_time(t_us * 1000)

@@ -296,7 +296,7 @@ class SceneTranslator:
 
     def _on_truth_contact(self, contact: TruthContact) -> list[Message]:
         if not self._from_truth:
-            return []  # the measured hits are shown instead
+            return []  # `_on_peak` shows the measured hits instead
         words = f"hit {contact.wall} {contact.mode}: {contact.peak_normal_force_n:.1f} N normal"
         at = contact.position_mission
         self._hits.append((at, f"{len(self._hits) + 1}: {contact.peak_normal_force_n:.0f} N"))

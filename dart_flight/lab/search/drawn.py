@@ -18,7 +18,7 @@ def predict_with_draws(mission: Mission, count: int = 40, seed: int = 1) -> list
     uncertainty, the position and direction of this wall are drawn too. Approaches stay as planned.
     """
     rng, spread = np.random.default_rng(seed), mission.vehicle.estimation.walls.spread
-    place_rng = np.random.default_rng([seed, 1])  # a second generator leaves the drawn coefficients unchanged
+    place_rng = np.random.default_rng([seed, 1])  # draws of places must not change those of coefficients
     draws: list[UncertaintyDraw | None] = []
     for _ in range(count):
         wall_factors = {

@@ -27,9 +27,9 @@ from dart_flight.run.fast import fly_fast
 from dart_flight.run.many_flights import fly_fast_many, summarise
 from dart_flight.sim.draws import parse_vary
 
-DRAWN, FIRST_SEED = 20, 700_001  # far from the seeds of campaigns and tests
+DRAWN, FIRST_SEED = 20, 700_001  # `FIRST_SEED` is far from the seeds of campaigns and tests
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
-LEAST_SAVING = 0.01  # minimum predicted saving to simulate a plan, relative to the collision-free time
+LEAST_SAVING = 0.01  # fraction of the collision-free time that a plan must be predicted to save
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.
@@ -213,10 +213,10 @@ class _Candidate(NamedTuple):
 
 
 class PlanChoice:
-    """The choice between the plans of a search; it grows while the plans fly.
+    """The choice between the plans of a search, which collects results while the plans fly.
 
     With `free_only`, only the plan without a collision is offered. `messages`, `flown` and `refused` are
-    those of `OfferedPlan`, for the plans so far.
+    those of `OfferedPlan`, for the plans flown or refused so far.
     """
 
     def __init__(self, result: SearchResult, free_only: bool, watch: FlightWatch = _NO_WATCH) -> None:
@@ -261,7 +261,7 @@ class PlanChoice:
         return self._offer(self._free, free.record)
 
     def skip(self, reason: str) -> OfferedPlan:
-        """Return the plan to offer without a flight: the first plan whose mission is not refused.
+        """Return the plan to offer if no plan is flown: the first plan whose mission is not refused.
 
         `reason` is the reason for the missing flights.
         """

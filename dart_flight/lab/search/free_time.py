@@ -1,4 +1,4 @@
-"""The time of the fastest flight without a collision, to compare colliding plans within the same limits.
+"""The time of the fastest flight without a collision, for comparison with colliding plans.
 
 Along a straight line, Ruckig finds the optimum (time-optimal with bounded speed, acceleration and jerk).
 Around walls, the plan is the fastest flight past the corners of the shortest polyline (`optimal_trajectory`).
@@ -73,7 +73,7 @@ def _leg_s(
     limits: MotionLimits,
     share: float,
 ) -> float:
-    """Return the shortest time between two states without acceleration; infinite if no motion is found."""
+    """Return the shortest time between two states with zero acceleration; infinite if no motion is found."""
     try:
         import ruckig  # noqa: PLC0415  (an extra)
     except ImportError:

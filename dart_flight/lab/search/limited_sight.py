@@ -30,7 +30,7 @@ from dart_flight.lab.search.routes import room_of
 from dart_flight.lab.search.scenario import Scenario, SightSpec
 
 _BEFORE_WALL_M = 0.02  # distance kept when stopping before a wall that must not be touched
-_STEP_M_S = 0.05  # step of the cruise speeds
+_STEP_M_S = 0.05  # step between the cruise speeds that are tried
 _AT_LIMIT = 0.998  # fraction of a limit used for cruising, because the solver needs some room
 
 
@@ -49,7 +49,7 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 def plan_limited_sight(
     scenario: Scenario, sight: SightSpec, progress: Callable[[int, int], None]
 ) -> tuple[Plan | None, Plan | None, int]:
-    """Return the flights without and with a hit, and the number of computed flights.
+    """Return the fastest flight without a hit, that with a hit, and the number of computed flights.
 
     The scenario has one wall, in front of the start.
 
@@ -75,7 +75,7 @@ def _flight(scenario: Scenario, sight: SightSpec, speed_m_s: float, hit: Hit | N
     """Return the fastest flight that cruises at `speed_m_s` until the reaction ends."""
     (wall,) = scenario.walls.values()
     (nx, ny), (x, y) = wall.normal, wall.foot(scenario.start)
-    begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # distance from the wall
+    begins_m = sight.distance_m - sight.reaction_s * speed_m_s  # distance at which the reaction ends
     seen: Vec2 = (x + begins_m * nx, y + begins_m * ny)
     off_m = 0.0 if hit else _BEFORE_WALL_M
     keep = (*room_of(scenario), HalfPlane(wall.normal, nx * x + ny * y + off_m))

@@ -40,9 +40,9 @@ INTERVALS = 10  # number of intervals in a part between two events
 POLISHED = 3 * INTERVALS
 _ANY_JERK_M_S3 = 200.0  # jerk limit if none is given
 _LONGEST_S = 30.0  # maximum duration of a part
-_LEAST_S = 0.05  # initial guess of a part's shortest duration
-_FORCE_USED = 0.8  # fraction of limits.peak_force_n, because the stiffness is known to about 15 %
-_FRICTION_RATIO = 0.5  # low default limit, because friction was measured at only 0.5 m/s
+_LEAST_S = 0.05  # smallest initial guess of a part's duration
+_FORCE_USED = 0.8  # usable fraction of limits.peak_force_n; the stiffness is known to about 15 %
+_FRICTION_RATIO = 0.5  # default limit; low, because friction was measured only at 0.5 m/s
 _SMOOTH = 1e-5  # cost of jerk, s per (m/s3)^2 s: selects the smoother of two equally fast flights
 _GUESSED_M_S, _GUESSED_LEFT = 1.5, 0.7  # initial guess of a hit's speed and of its restitution
 _THRUST_M_S2 = {Mode.FLEXIBLE: (-0.05, 0.2), Mode.RIGID: (-0.05, 1.0)}  # see `HitLimits`
@@ -94,9 +94,9 @@ class ContactResponse(NamedTuple):
 
     Attributes:
         restitution: outgoing over incoming normal velocity.
-        lead_s: distance between the plane of first touch and the place where the force begins or ends, over
-            the normal speed there. With `onset: lcp`, the force begins before the vehicle reaches the plane,
-            and ends before the vehicle is back at the plane. With the other rule, `lead_s` is 0.
+        lead_s: distance between the plane of first touch and the place where the force begins or ends,
+            divided by the normal speed at that place. With `onset: lcp`, the force begins before the vehicle
+            reaches the plane, and ends before it is back at the plane. With `onset: touch`, `lead_s` is 0.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
         friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
@@ -176,7 +176,7 @@ class Cruise(NamedTuple):
 
 
 class HalfPlane(NamedTuple):
-    """The places with `normal . p >= offset_m`."""
+    """The places p with `normal . p >= offset_m`."""
 
     normal: Vec2
     offset_m: float
@@ -259,8 +259,8 @@ class _Transcription:
         length = distance2(begin.place, end.place)
         usual_s = transit_time_s(length, limits.speed_m_s, limits.acceleration_m_s2, limits.jerk_m_s3) + 0.3
         speeds = math.hypot(*begin.velocity), math.hypot(*end.velocity)
-        if min(speeds) > 0.0:  # no stop: assume the mean of the two speeds
-            usual_s = max(_LEAST_S, 2.0 * length / sum(speeds))  # the places may coincide
+        if min(speeds) > 0.0:  # the vehicle does not stop: assume the mean of the two speeds
+            usual_s = max(_LEAST_S, 2.0 * length / sum(speeds))  # `length` may be 0
         duration = self.variable(f"T{i}", np.array([[float(usual_s)]]), 1e-3, _LONGEST_S)
         guessed = _quintic_states(begin, end, float(usual_s), n)
         states = self.variable(f"x{i}", guessed, -math.inf, math.inf)

@@ -1,4 +1,4 @@
-"""The plan of a flight and the result of a search, for the grid search (`search`) and for `quickest`."""
+"""Records of a plan and of a search's result, which both the grid search (`search`) and `quickest` return."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class PlannedCollision(msgspec.Struct, frozen=True, omit_defaults=True):
         peak_friction_n: peak of the friction force.
         contact_time_s: duration of the contact.
         setpoint_m: recovery setpoint, mission frame; None if the plan continues along a trajectory.
-        acceleration_m_s2: acceleration at the onset of a plan with trajectories, along normal and tangent.
+        acceleration_m_s2: (normal, tangential) acceleration at the onset; None without trajectories.
     """
 
     wall: str
@@ -62,13 +62,13 @@ class Plan(msgspec.Struct, frozen=True):
         closest_m: position of the closest approach, mission frame.
         expected_miss_m, worst_miss_m: mean and largest miss of the goal over the random sets of values
             (draws), only for `robust`. If the plan fails in a draw, its miss is the distance from start to
-            goal, or 1 m if this distance is smaller.
+            goal, but at least 1 m.
         failed_draws: fraction of the draws in which the plan fails because it violates a constraint.
         time_to_rest_s: time from `start` until the vehicle rests at the goal. In the grid search, the flight
             from the closest approach to rest uses the motion limits of the collision-free flight.
         saving_s: time of the fastest flight without a collision minus `time_to_rest_s`; negative if the plan
             is slower. None if the time of that flight is unknown.
-        visits_s: time at which the vehicle passes each visit; at a wall that is hit, this is the onset.
+        visits_s: time at which the vehicle passes each visit; if a hit serves a visit, this is the onset.
         cruise_m_s: speed until the vehicle reacts to the detected wall, in a scenario with `sight`.
         legs: trajectories to the collisions and to the goal; empty in the grid search.
     """
@@ -143,7 +143,7 @@ class Candidates(NamedTuple):
 
     sequence: tuple[str, ...]
     modes: tuple[Mode, ...]
-    rows: Rows  # index into the grid of approaches, normal first
+    rows: Rows  # indices into the grid of approach velocities, that of the normal velocity first
     normal_m_s: Array
     tangential_m_s: Array
     miss_m: Array

@@ -39,7 +39,7 @@ def plan_summary(result: SearchResult, refused: Mapping[int, str] | None = None)
     if result.free is not None:
         limits = MotionLimits.from_scenario(result.scenario)
         free = {"time_s": result.free.time_to_goal_s, "limits": limits, "cruise_m_s": result.free.cruise_m_s}
-    shown = [name for name in Plan.__struct_fields__ if name != "legs"]  # `-o` writes the trajectories
+    shown = [name for name in Plan.__struct_fields__ if name != "legs"]  # `-o` writes the trajectories (legs)
     return {
         "scenario": result.scenario.name,
         "objective": result.scenario.objective.value,
@@ -104,7 +104,7 @@ def plan_table(result: SearchResult) -> Table:
 
 
 def _at_edge(scenario: Scenario, best: Plan) -> str:
-    """Return the approach velocities of a plan that are the first or last of their grid, as text."""
+    """Name the components of a plan's approach velocity that are the first or last value of their grid."""
     spec = scenario.spec.search
     if spec is None:
         return ""
@@ -141,7 +141,7 @@ def _limits(limits: MotionLimits) -> str:
 
 
 def quickest_table(result: SearchResult) -> Table:
-    """Return a table of the hits of the best plan and of the other plan, if there is another plan."""
+    """Return a table of the hits of the best plan and, if there is a second plan, of the second plan."""
     table = Table(title=f"{result.scenario.name}: quickest", title_justify="left", box=None, pad_edge=False)
     for column in ("", "wall", "mode"):
         table.add_column(column, overflow="fold")

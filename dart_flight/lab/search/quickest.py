@@ -136,7 +136,7 @@ class LeastTimes:
 
     def leg_s(self, length_m: float, begin: LegEnd, end: LegEnd) -> float:
         """Return a lower bound on the time of a leg: accelerate as far as possible, cruise, brake."""
-        # With slow ends the speed peaks between them, where the acceleration is zero.
+        # If the vehicle stops at both ends, its speed peaks between them, where its acceleration is zero.
         levels = {begin, end} <= {LegEnd.REST, LegEnd.REVERSAL}
         before_s, before_m = self._to_speed(begin, True, levels)
         after_s, after_m = self._to_speed(end, False, levels)
@@ -163,12 +163,12 @@ class LeastTimes:
             return more / a, more * (left + 0.5 * more) / a
         if j is None or (end is LegEnd.REVERSAL and not levels):
             return v / a, 0.5 * v**2 / a
-        if end is LegEnd.REVERSAL:  # full acceleration, then reduced at the jerk limit
+        if end is LegEnd.REVERSAL:  # accelerate fully, then reduce the acceleration at the jerk limit
             gained = np.minimum(v, 0.5 * a * a / j)
             level_s = np.sqrt(2.0 * gained / j)
             hard_s = (v - gained) / a
             return hard_s + level_s, 0.5 * a * hard_s**2 + v * level_s - j * level_s**3 / 6.0
-        if levels:  # from rest to zero acceleration, symmetric about half the speed
+        if levels:  # the acceleration rises from 0 and falls to 0, symmetric about half the speed
             whole_s = np.where(v > a * a / j, v / a + a / j, 2.0 * np.sqrt(v / j))
             return whole_s, 0.5 * v * whole_s
         # From rest the acceleration grows at the jerk limit up to its own limit.
@@ -472,7 +472,7 @@ def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))
-        share = here / (here + there) if here + there > 0.0 else 0.5  # straight line to b's mirror image
+        share = here / (here + there) if here + there > 0.0 else 0.5  # on the line from a to b's mirror image
         place = wall.foot((a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])))
         return place if event.visit is None else _nearest_in(event.visit, place)
     (ax, ay), (bx, by), (cx, cy) = a, b, event.place

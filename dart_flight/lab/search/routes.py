@@ -21,7 +21,7 @@ from dart_flight.core.mission.wall_uncertainty import end_margin_m
 from dart_flight.lab.search.optimal_trajectory import Disc, HalfPlane, Region
 from dart_flight.lab.search.scenario import Scenario
 
-_PAST_END_M = 0.12  # margin past a wall's end, in case the wall is longer, and for tracking errors
+_PAST_END_M = 0.12  # margin past a wall's end for tracking errors and for a wall that is longer than stated
 _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is uncertain
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
@@ -237,7 +237,7 @@ def _side(begin: Vec2, end: Vec2, wall: Wall, touched: bool, past_end_m: float) 
     inside = _inside(begin, end, wall)
     best = max(range(4), key=lambda k: inside[k])
     if inside[best] < 0.0:
-        # A path to a place at the wall may come as near as that place.
+        # A path to a place at the wall may come as near to the wall as that place.
         nearest = max(TOUCH_M, min(wall.signed_distance(begin), wall.signed_distance(end)))
         yield HalfPlane((nx, ny), plane_m + min(nearest, CLEARANCE_M))
         return

@@ -372,7 +372,7 @@ def _sequences(spec: ScenarioFile, walls: list[str], document: Document) -> tupl
     if spec.sequence == "any":
         found: list[tuple[str, ...]] = [(name,) for name in walls]
         frontier = found
-        # Use each wall at most once, because the recovery leads away from it.
+        # Use each wall at most once, because the recovery from a wall leads away from this wall.
         for _ in range(min(len(walls), _MAX_COLLISIONS) - 1):
             frontier = [(*s, name) for s in frontier for name in walls if name not in s]
             found = [*found, *frontier]

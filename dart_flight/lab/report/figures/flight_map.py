@@ -31,7 +31,7 @@ def flight_map(flights: Sequence[RecordedFlight], *, look: Look = PAGE) -> Any:
     for flight in flights:
         seen += [place for (_, place), _ in _paths(flight)]
         seen += [np.array([hit.verdict.onset.position_mission]) for hit in flight.impacts]
-        seen += flight.planned_lines()  # includes walls that an aborted flight did not reach
+        seen += flight.planned_lines()  # an aborted flight does not reach all planned walls
     if len(flights) == 1:
         _add_one(shown, flights[0])
     else:

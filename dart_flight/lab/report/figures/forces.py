@@ -1,4 +1,4 @@
-"""Figures of contact forces: one hit, one hit over several trials, and a whole log of any vehicle."""
+"""Figures of contact forces in one hit, in one hit over several trials, and in a whole log of any vehicle."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def force_over_flight(
     step = max(1, round(0.05 / max(float(np.median(np.diff(time_s))), 1e-3))) if len(time_s) > 1 else 1
     count = max(1, len(time_s) // step)
     largest = np.array([force_m_s2[i * step : (i + 1) * step].max() for i in range(count)])
-    # A solid line, because dashes would look like gaps in the recording.
+    # Draw a solid line, because dashes would look like gaps in the recording.
     axis.plot(
         time_s[: count * step : step], largest, **{**ESTIMATED, "linestyle": "-", "linewidth": 0.9}
     )  # fmt: skip

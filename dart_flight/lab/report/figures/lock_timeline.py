@@ -16,7 +16,7 @@ _TONES = {
     "fault": ("#000000", ""),
     "unknown": ("#ffffff", "xx"),
 }
-_ROWS = ["lock", "may lock", "contact", "phase"]  # only a vehicle with a lock has the first two
+_ROWS = ["lock", "may lock", "contact", "phase"]  # the first two need a vehicle with a lock
 
 
 @in_style

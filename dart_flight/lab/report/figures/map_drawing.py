@@ -41,7 +41,7 @@ _NORTH_PT = 16.0  # length of the north arrow
 _OUTSIDE_M = 0.6  # maximum distance outside of the bounds at which a wall may still be hit
 _NAME_M = 0.15  # space for the name behind a wall
 BELOW_M = 0.05  # margin of the side view below the ground
-_EDGE_ON = 0.26  # sine of 15 degrees, the largest angle of a wall in side view
+_EDGE_ON = 0.26  # sine of 15 degrees, the largest angle at which the side view shows a wall edge-on
 _SAME_M = 0.12  # distance below which hits share a label in the side view
 _DRAWS_SHUNNED = 8  # labels avoid every eighth draw, as a sample of all draws
 _SOLID = {"facecolor": "#dcdcdc", "edgecolor": "#777777", "hatch": "////"}
@@ -89,7 +89,7 @@ _ARMS: dict[Mode | None, dict[str, Any]] = {
     Mode.FLEXIBLE: {"linewidth": 1.1, "linestyle": (0, (2, 1.5))},
     None: {"linewidth": 1.0, "linestyle": ":"},
 }
-# Kinds that the side view shows; the others are all at the altitude of the flight.
+# Kinds that the side view shows. The other kinds have no altitude of their own.
 _PATHS_BESIDE = (MapKind.PREDICTED, MapKind.PROBE)
 _PLACES_BESIDE = (MapKind.WAYPOINT, MapKind.GOAL)
 
@@ -126,7 +126,7 @@ def _plot(axis: Any, path: Line, along: tuple[int, int] = (0, 1)) -> None:
 
 
 def _draw_places(axis: Any, shown: RoomMap, kinds: Sequence[MapKind], up: int = 1) -> None:
-    """Draw the symbols of these kinds over x, and over y (1) or z (2)."""
+    """Draw the symbols of these kinds in x and in the coordinate `up`, which is 1 for y and 2 for z."""
     for kind, at, legend in shown.places:
         if kind in kinds:
             style = {"color": "#000000", "linestyle": "none", **_SYMBOLS[kind]}
@@ -334,7 +334,7 @@ def lines_of(shown: RoomMap) -> list[Array]:
 
 
 def _fit(figure: Any, plan: Any, below: Any, note: str) -> None:
-    """Set the figure's height from the views' aspect, and put the legend in columns under them."""
+    """Set the figure's height from the views' aspect, and put the legend in columns under the views."""
     views = (plan, below) if below is not None else (plan,)
     unique = {
         label: line for view in views for line, label in zip(*view.get_legend_handles_labels(), strict=True)

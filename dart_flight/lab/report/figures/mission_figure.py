@@ -29,7 +29,7 @@ from dart_flight.planning.predicted_flight import PredictedFlight, describe_goal
 SHEET = Look(7.2, 9.0)
 _NOTE_WIDTH = 96  # width in characters of the text below the picture
 _ABOVE_M = 0.4  # margin of the side view above the flight
-_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # largest shown bounds: m, and multiple of the flight's size
+_ROOM_M, _ROOM_SHARE = 12.0, 2.5  # bounds are shown up to this size, m, or multiple of the flight's size
 
 
 @in_style
@@ -38,7 +38,7 @@ def mission_figure(mission: Mission, planned: PredictedFlight | None, *, look: L
 
     Without a prediction (`planned`), as for an approach that cannot be flown, only the room is drawn.
     """
-    # Trajectories end at their goal in every draw, but uncertain walls still move.
+    # With trajectories, every draw ends at the goal, and only uncertain walls make the draws differ.
     varies = mission.goal_trajectory is None or any(wall.is_uncertain for wall in mission.walls)
     drawn = predict_with_draws(mission) if planned is not None and planned.hits and varies else []
     shown = mission_map(mission, planned, drawn)
