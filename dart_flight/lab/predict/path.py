@@ -84,7 +84,7 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Evaluate a series at the times `t`; its value is 0 before the contact, and its last value after the contact."""
+        """Evaluate a series at the times `t`: 0 before the contact, the value at its end after it."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
