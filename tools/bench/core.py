@@ -43,9 +43,9 @@ MISSIONS = (
     "paper_dual_collision",
     "dual_collision_replan",
     "paper_single_wall",
-)  # with a recovery setpoint, with replanning, with one wall
+)  # two walls with recovery setpoints, two walls with replanning, one wall
 _REPEATS = 5
-_CHUNK = 50  # inputs, or ticks
+_CHUNK = 50  # number of inputs or ticks in a timed piece of work
 _NAN3 = (float("nan"),) * 3
 _KINDS = get_args(Input)
 

@@ -2,8 +2,8 @@
 
     PYTHON tools/bench/rotorpy_steps.py STEPS
 
-It prints one JSON object for each period: the steps and the simulated seconds per second. This file imports
-nothing of this program.
+It prints one JSON object for each period, with the steps and the simulated seconds per second. This file
+imports nothing of this program.
 """
 
 import importlib

@@ -55,7 +55,7 @@ class FlownVariant:
         self.begin_s, self.rest_s = course.time_of(round(found.begin_us)), found.there_s
         self.visits_s = [course.time_of(round(t)) - self.begin_s for t in found.visits_us]
         hits_s = (impact.at_s - self.begin_s for impact in self.flight.impacts)
-        self.hits_s = [t for t in hits_s if t > 0.0]  # without earlier touches
+        self.hits_s = [t for t in hits_s if t > 0.0]  # omit touches before the clock starts
         self.time_s = course.true.time_s - self.begin_s
 
     @cached_property

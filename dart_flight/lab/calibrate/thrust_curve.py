@@ -26,7 +26,7 @@ from dart_flight.lab.track import Track
 Array = NDArray[np.float64]
 
 WINDOW_S = 0.5
-_PART_S = 0.1  # length of a window's part: longer than the vibration's period, shorter than a bump
+_PART_S = 0.1  # length of a window's part, longer than a vibration's period and shorter than a bump
 _GROUND_MARGIN_S = 1.0  # maximum delay of PX4's land detector
 _MIN_IMU, _MIN_MOTOR = 10, 3  # minimum samples in a window; by default PX4 logs motors at 10 Hz
 _MAX_RATE_RAD_S = 0.6
@@ -41,7 +41,7 @@ _FACTOR_ERROR = 0.1  # maximum standard error of a fitted factor
 _MIN_VOLTAGE_SPREAD = 0.02  # minimum relative standard deviation of the voltage for a fit of the exponent
 _MIN_SPREAD_V = 1e-6  # a smaller spread counts as constant voltage
 _MAX_EXPONENT = 3.0  # maximum exponent of the voltage ratio
-_FOLDS = 4  # parts for cross-validation
+_FOLDS = 4  # number of parts for cross-validation
 _BLOCK = 5  # number of consecutive windows that are held out together (2.5 s in all)
 _MAX_ERROR = 0.1  # maximum error on held-out segments, as a fraction of the thrust
 

@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dart_flight.lab.paper import tables as paper
 
     vehicle, source = find_vehicle(arguments.config)
-    if not vehicle.has_lock and arguments.config is None:  # use the paper's
+    if not vehicle.has_lock and arguments.config is None:  # use the paper's vehicle
         vehicle, source = find_vehicle(packaged("configs", "dart.yaml"))
     if not vehicle.has_lock:
         raise InputError("the paper's tables need a vehicle with a lock", key=("lock",))

@@ -132,7 +132,7 @@ def _coefficients(
             found |= whole
             notes.append(f"{mode}: k and f are from speeds, peaks and durations of whole hits")
         elif not bad:
-            notes.append(f"{mode}: neither forces nor enough samples in contact: k and f are unknown")
+            notes.append(f"{mode}: k and f are unknown: no forces, and too few samples in contact")
         found["mu"] = friction(problem) or found["mu"]
     notes += [f"{mode}: {name} {why}" for name, why in _UNKNOWN.items() if found[name] is None]
     return found

@@ -78,7 +78,7 @@ def expected_residuals(trials: Sequence[Trial], hits: Sequence[MeasuredImpact]) 
     size: dict[str, list[float]] = {}
     for trial, hit in zip(trials, hits, strict=True):
         if hit.turn is None:
-            continue  # accelerometer only; assessed as a whole hit
+            continue  # only an accelerometer: assess it as a whole hit
         for name, series in trial.series.items():
             near = np.abs(series.time_s - hit.turn.turn_s) <= _CONTACT_S
             if not near.any():

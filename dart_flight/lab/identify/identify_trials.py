@@ -73,7 +73,7 @@ def identify_trials(
     files = find_logs(paths)
     _refuse_idle_options(reading, files)
     if not given and not any(path.suffix.lower() == FLIGHT_LOG for path in files):
-        _refuse_mode(reading, vehicle)  # only flight logs replace `vehicle`
+        _refuse_mode(reading, vehicle)  # no flight log can replace `vehicle`
     with_mass = replace(reading, mass_kg=mass_kg)
     trials = list(given) + list(
         chain.from_iterable(read_each(files, lambda path: read_trials(path, with_mass), left_out.append))

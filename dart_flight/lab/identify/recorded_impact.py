@@ -83,7 +83,7 @@ def find_impact(trial: Trial) -> TrialImpact:
     speed = _slopes(time, value, max(0.012, 2.5 * step))
     candidates = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
     found: list[TrialImpact] = []
-    reach = 0.12  # s before and after a turn that are searched for the approach and rebound speeds
+    reach = 0.12  # time before and after a turn in which approach and rebound speed are searched, s
     for i in candidates:
         at = float(time[i])
         before = (time >= at - reach) & (time < at)

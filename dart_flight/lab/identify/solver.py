@@ -20,7 +20,7 @@ from dart_flight.config.packages import missing_package
 from dart_flight.contact.coefficients import Array
 from dart_flight.lab.identify.estimates import Estimate
 
-LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range, N/m and N s/m
+LOWEST_K, HIGHEST_K, LOWEST_F, HIGHEST_F = 10.0, 1e6, 1e-3, 1e4  # search range: k in N/m, f in N s/m
 _AT_BOUND = 1e-3  # maximum distance of a logarithm from a bound at which it counts as at the bound
 _BY_CHANCE = 1.3
 

@@ -136,7 +136,7 @@ def _trial(source: str, series: dict[str, Series], reading: TrialReading) -> Tri
         position = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
         series["normal_m"] = Series(time, position)
         turns = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0))
-        if turns.size:  # the fastest turn is at the plane
+        if turns.size:  # assume the plane at the fastest turn
             jumps = [speed[i + 1 : i + 8].max() - speed[max(i - 7, 0) : i + 1].min() for i in turns]
             series["normal_m"] = Series(time, position - position[turns[int(np.argmax(jumps))]])
     if "normal_m" in series and "specific_force_m_s2" in series and "normal_force_n" not in series:

@@ -27,7 +27,7 @@ _OUTLIER = 5.0  # number of standard deviations beyond which a sample in free fl
 _HUBER = 3.0  # number of standard deviations in contact beyond which a sample is weighted down
 _SPIKE = 8.0  # number of standard deviations in contact beyond which a single sample is excluded
 MAX_SET_ASIDE = 0.1  # maximum fraction of a contact's samples that may be excluded
-_LIKE_FREE = 1.5  # contact and free flight count as equally noisy below this ratio of their residuals
+_LIKE_FREE = 1.5  # residuals in contact over those in free flight below which both count as noise
 
 CHANNELS = (
     "normal_m", "normal_m_s", "normal_force_n", "tangential_m", "tangential_m_s", "tangential_force_n",

@@ -22,7 +22,7 @@ class VehicleState(Record, frozen=True, gc=False):
     tilt_deg: float
     phase: str
     arms: str  # rigid, flexible, travelling, fault or unknown, from the lock's reported state
-    horn_share: float  # lock servo: 0 at the flexible end, 1 at the rigid end; 1 without a lock
+    horn_share: float  # position of the lock servo: 0 if flexible, 1 if rigid or without a lock
     battery_v: float | None
     battery_remaining: float | None
 

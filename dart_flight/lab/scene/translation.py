@@ -69,7 +69,7 @@ LASTING = frozenset((*SCENES, *OUTLINES, TRANSFORMS))
 _MIN_ARROW_N = 3.0  # minimum force that is drawn, above the estimate's noise
 _PATH_STEP_M = 0.03
 _PATH_US = 250_000
-_MAX_PATH = 500  # maximum number of points; then every second point is dropped and the step doubles
+_MAX_PATH = 500  # maximum number of points; beyond it, every second point is dropped and the step is doubled
 _LEVELS = {
     Level.DEBUG: LogLevel.Debug,
     Level.INFO: LogLevel.Info,
@@ -175,7 +175,7 @@ class SceneTranslator:
         return self._given or self._anchor.frame or self._provisional
 
     def _begin(self, t_us: int) -> list[Message]:
-        """Return the first messages: the vehicle at its start and, with `show_room`, room and plan."""
+        """Return the first messages: the vehicle at its start and, if `show_room` is set, room and plan."""
         self._begun = True
         # Viewers need a transform before anything else, so begin level at the start.
         (x, y) = self._mission.start if self._show_room else (0.0, 0.0)

@@ -4,10 +4,10 @@ The time between two events is divided into equal intervals of constant jerk. Po
 acceleration are therefore polynomials of the time, and the states at the ends of an interval are exact
 (direct multiple shooting). The solver chooses the duration between two events. A hit changes the velocity by
 the contact law in closed form (`ContactResponse`) and lasts as long as the contact. After the hit, the thrust
-stays constant for `dead_s`: the attitude cannot jump, and the next leg is planned meanwhile. The drag is
-proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the problem
-(extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and outside
-discs.
+stays constant for `dead_s`, because the attitude cannot jump and the next leg is planned in this time. The
+drag is proportional to the velocity. CasADi states the problem and its derivatives, and IPOPT solves the
+problem (extra `plan`). To keep clear of walls and posts, each part of a path stays inside half-planes and
+outside discs.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class ContactResponse(NamedTuple):
             divided by the normal speed at that place. With `onset: lcp`, the force begins before the vehicle
             reaches the plane, and ends before it is back at the plane. With `onset: touch`, `lead_s` is 0.
         peak_n_per_m_s: peak of the normal force, divided by the incoming velocity.
-        friction_s_per_m: decay of the velocity along the wall. A hit multiplies this velocity by
+        friction_s_per_m: decay of the velocity along the wall; a hit multiplies this velocity by
             exp(-friction_s_per_m * incoming velocity).
         mu_s_per_m: ratio of friction to normal force, divided by the velocity along the wall.
     """

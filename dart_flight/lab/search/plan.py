@@ -121,7 +121,7 @@ class MotionLimits(msgspec.Struct, frozen=True):
 
 
 class FreeTime(msgspec.Struct, frozen=True):
-    """The time of the fastest flight from start to goal without a contact, from rest to rest.
+    """The time of the fastest contact-free flight from rest at the start to rest at the goal.
 
     Attributes:
         time_s: duration; None without a path.
@@ -168,7 +168,7 @@ class SearchResult(msgspec.Struct, frozen=True):
         trajectories: number of simulated or computed trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
         refused: number of rejected candidates for each reason.
-        free_time: duration of the fastest collision-free flight, from the grid search; None if the extra
+        free_time: duration of the fastest collision-free flight, only in the grid search; None if the extra
             `plan` is not installed.
         maps: all feasible candidates of the grid search.
         gap_s: upper bound on how much faster than the best plan a skipped sequence could be.
@@ -204,5 +204,5 @@ class SearchResult(msgspec.Struct, frozen=True):
 
     @property
     def saving_s(self) -> float | None:
-        """The time that the best plan with a collision saves; negative if it is slower."""
+        """The time that the best plan with a collision saves; negative if this plan is slower."""
         return None if self.colliding is None else self.colliding.saving_s

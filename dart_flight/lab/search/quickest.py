@@ -66,7 +66,7 @@ def plan_quickest(
     The plan must hit the walls of the scenario's sequence, if there is a sequence.
 
     Args:
-        within_s: time limit of the search; the best plan found by then is refined and returned. A search
+        within_s: time limit of the search; the best plan found in this time is refined and returned. A search
             with `sight` has no limit.
         progress: called with the number of computed sequences and the number of known sequences.
 
@@ -118,9 +118,9 @@ def _demanded(scenario: Scenario) -> tuple[str, ...]:
 class LegEnd(Enum):
     """The constraint on the motion at an end of a straight leg."""
 
-    REST = "rest"  # no velocity, no acceleration
-    REVERSAL = "reversal"  # no velocity along the leg
-    HIT = "hit"  # before the hit any velocity into the wall, after the hit the remaining velocity
+    REST = "rest"  # velocity and acceleration are zero
+    REVERSAL = "reversal"  # the velocity along the leg is zero
+    HIT = "hit"  # any velocity into the wall before the hit, the remaining velocity after it
     ANY = "any"
 
 
@@ -189,7 +189,7 @@ class _Search:
         self.colliding: tuple[Event, ...] | None = None
         self.computed = self.pruned = 0
         self._compared: dict[tuple[Event, ...], Plan | None] = {}
-        self.least_open_s = self.left_out_s = math.inf  # lowest bounds of skipped and of longer sequences
+        self.least_open_s = self.left_out_s = math.inf  # lowest bounds: of skipped sequences, of longer ones
         # Every bound needs the responses, so compute them once.
         self._responses = {
             (wall.name, mode): ContactResponse.at_wall(self.vehicle, wall, mode)

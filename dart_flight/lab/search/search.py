@@ -33,7 +33,7 @@ from dart_flight.planning.rollout import (
     stages_for,
 )
 
-Progress = Callable[[int, int], None]  # trajectories done, total number
+Progress = Callable[[int, int], None]  # called with (number of finished trajectories, number of all)
 
 _MIN_LOSS_M = 1.0
 

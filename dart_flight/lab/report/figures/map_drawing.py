@@ -38,12 +38,12 @@ from dart_flight.lab.report.figures.labels import name_walls, place_labels
 
 _WIDE_IN = 6.0  # minimum figure width for a legend with three columns
 _NORTH_PT = 16.0  # length of the north arrow
-_OUTSIDE_M = 0.6  # maximum distance outside of the bounds at which a wall may still be hit
+_OUTSIDE_M = 0.6  # the view omits parts of walls that are farther outside of the bounds
 _NAME_M = 0.15  # space for the name behind a wall
 BELOW_M = 0.05  # margin of the side view below the ground
 _EDGE_ON = 0.26  # sine of 15 degrees, the largest angle at which the side view shows a wall edge-on
 _SAME_M = 0.12  # distance below which hits share a label in the side view
-_DRAWS_SHUNNED = 8  # labels avoid every eighth draw, as a sample of all draws
+_DRAWS_SHUNNED = 8  # labels avoid the lines of only every eighth draw
 _SOLID = {"facecolor": "#dcdcdc", "edgecolor": "#777777", "hatch": "////"}
 _DRAWN = "#8db4e2"
 
