@@ -16,7 +16,7 @@ _SHOWN = 3
 
 
 def describe_holes(time_s: NDArray[np.float64], what: str, begin_s: float | None = None) -> list[str]:
-    """Return a line for each of the longest holes in increasing stamps, and one line for all others.
+    """Return a line for each of the longest holes between increasing stamps, and one line for all others.
 
     The printed times count from `begin_s`, by default the first stamp.
     """

@@ -144,7 +144,7 @@ class DrawnWall(NamedTuple):
 
     @property
     def outline(self) -> Array:
-        """The corners (4, 2), m: both ends of the surface, then both corners behind it."""
+        """The corners (4, 2), m: both ends of the surface, then both corners behind the surface."""
         surface = np.array(self.surface.ends)
         return np.vstack([surface, (surface - self.thickness_m * np.array(self.surface.normal))[::-1]])
 

@@ -1,4 +1,4 @@
-"""The map of a mission before its flight, as data: its path, probes, planned hits, and draws of its walls.
+"""The map of a mission before its flight, as data: its path, probes, planned hits and randomly moved walls.
 
 `report/figures/mission_figure.py` draws the map for `--plot`, and the studio's room view shows it.
 """
@@ -92,7 +92,7 @@ class PlannedHit(NamedTuple):
         velocity: velocity before the hit, mission frame, m/s; None if unknown.
         force: peak force on the vehicle, mission frame, N; None without a prediction or a contact.
         setpoint: recovery setpoint, mission frame, m; None without a recovery.
-        text: mode, speed, force and incidence in lines; "" without a prediction.
+        text: lines with mode, speed, force and incidence; "" without a prediction.
     """
 
     number: int

@@ -249,8 +249,8 @@ def _decoded(log: ULogFile, instance: int, data: dict[str, Any]) -> MotorCommand
 def _pulse_range(parameters: dict[str, float], instance: int, count: int) -> tuple[Array, Array]:
     """Return the shortest and longest pulse of each output.
 
-    Up to three parameters can set each limit: for the pin, for the port, or for all ports. The first with a
-    value determines the limit.
+    Up to three parameters can set each limit: for the pin, for the port, or for all ports. The first of these
+    with a value determines the limit.
     """
     bank = "MAIN" if instance == 0 else "AUX"
     ends = []

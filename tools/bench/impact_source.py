@@ -72,7 +72,7 @@ class _Endpoint(MavlinkEndpoint):
 
 
 def pulse_n(t_s: float, k: float, f: float, mass_kg: float) -> float:
-    """Return the force of a contact at `SPEED_M_S`, `t_s` after its onset, newton.
+    """Return the force, N, at the time `t_s` after the onset of a contact at `SPEED_M_S`.
 
     The wall has the stiffness k (N/m) and the damping f (N s/m).
     """

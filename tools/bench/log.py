@@ -77,8 +77,8 @@ def rows() -> list[dict[str, Any]]:
 
     `log record` is the processor time per record at the pace of a flight, in microseconds, including
     encoding, compression and writing. The baseline puts all records without pauses, with warm caches. `log
-    put` is the part of that time on the core's thread. `log share` is the share of one core at 250 IMU
-    samples a second, in per cent. `log size` is in megabytes per minute.
+    put` is the part of this time that is spent on the core's thread. `log share` is the share of one core at
+    250 IMU samples a second, in per cent. `log size` is in megabytes per minute.
     """
     paced = record_slots()[: round(_PACED_S * 1e6 / _SLOT_US)]
     about = describe_flight(load_mission(_MISSION), World.FAST, 1)

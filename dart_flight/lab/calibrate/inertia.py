@@ -52,9 +52,8 @@ class AxisInertia(msgspec.Struct):
     """Inertia about one axis, kg m2.
 
     Attributes:
-        axis: roll (forward), pitch (right) or yaw (down).
-        value, low, high: the estimate and its 95 % interval, or None if the flights do not determine the
-            inertia.
+        axis: roll, pitch or yaw, about the axes forward, right and down. value, low, high: the estimate and
+        its 95 % interval, or None if the flights do not determine the inertia.
         torque_nm: standard deviation, over all windows, of a window's mean motor torque.
         rate_change_rad_s: standard deviation, over all windows, of the rate change in a window.
         explained: fraction of the variance of the rate's change that the motors explain.

@@ -112,7 +112,7 @@ def quiet_points(
     """Return the quiet segments of a flight, half a second each.
 
     Args:
-        mass_kg: mass of the vehicle in this flight; with 1, the result is specific thrust.
+        mass_kg: mass of the vehicle in this flight; a mass of 1 kg gives the specific thrust.
         lag_s: lag of the motors; the commands are delayed by this time.
         most_speed_m_s: upper limit of a window's mean speed.
     """
@@ -209,7 +209,7 @@ class Curve(msgspec.Struct):
 
 
 def fit_curve(p: Points, factor: float, exponent: float | None, *, fit_factor: bool = False) -> Curve:
-    """Fit the voltage exponent, assuming `factor`; then fit the curve, referred to the mean voltage.
+    """Fit the voltage exponent, assuming `factor`; then fit the curve, whose reference is the mean voltage.
 
     Args:
         factor: value to use if the factor is not fitted, or if the points do not determine it.

@@ -130,7 +130,7 @@ def _one_line(error: BaseException) -> str:
 def _hand_out(
     client: Any, url: str, flyer: ItemFlyer, waiting: Iterator[Item], interrupt: Interrupt
 ) -> Landings:
-    # A shared result is sent to each worker once, and recomputed if that worker dies.
+    # The scheduler sends this shared result to each worker once, and recomputes it if its worker dies.
     shared = client.submit(_identity, flyer, pure=False)
     under_way: dict[Any, Item] = {}
     threads, counted_s = 0, -_COUNT_S

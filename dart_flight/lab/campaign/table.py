@@ -1,7 +1,7 @@
 """The table of a campaign: a CSV file that survives Ctrl-C, SIGKILL, power loss and a full disk.
 
 Every row is written with one call and flushed to the disk about once a second. A full disk or a power loss
-may leave an incomplete last row. This row is then removed, and its flight is repeated.
+may leave an incomplete last row. A resumed campaign removes this row and repeats its flight.
 """
 
 from __future__ import annotations

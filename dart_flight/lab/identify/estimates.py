@@ -137,7 +137,7 @@ class FitQuality(NamedTuple):
     Attributes:
         good: False if a residual exceeds its limit in `expected`; None if nothing can be assessed.
         expected: quantity -> largest residual of a good fit, in the unit of the quantity.
-        messages: a sentence for each quantity whose residual exceeds its limit, and what to check.
+        messages: a sentence with advice for each quantity whose residual exceeds its limit.
     """
 
     good: bool | None

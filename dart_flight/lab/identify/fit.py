@@ -52,7 +52,7 @@ def identify(trials: Sequence[Trial], mass_kg: float, onset: Onset) -> Identific
     """Identify the coefficients of each mode from trials (paper, Sec. IV-B and V-A).
 
     Args:
-        trials: recordings. The fit assumes one plane for all, and one set of coefficients per mode.
+        trials: recordings. The fit assumes one plane for all trials, and one set of coefficients per mode.
         onset: onset rule of the fitted model; the rule affects k and f slightly.
 
     Raises:

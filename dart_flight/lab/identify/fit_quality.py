@@ -1,13 +1,13 @@
-"""Assessment of the law: does it reproduce the fitted recordings, and does it predict held-out hits?
+"""Assessment of the law: does the law reproduce the fitted recordings, and predict held-out hits?
 
 A fit is poor if the law misses the recordings by more than their noise or scatter. Some trials are fitted
 without their samples, for example drops that only an accelerometer recorded. The law must then reproduce the
 peak force and the outgoing speed of each hit.
 
 Predictions of held-out hits are compared with two baselines that need no law. The first baseline assumes that
-the outgoing speed is a constant fraction of the incoming speed. The second assumes that the peak force is
-proportional to the incoming speed. If the law does not predict held-out hits better than the baselines, the
-law's coefficients are useless, even if the law fits well.
+the outgoing speed is a constant fraction of the incoming speed. The second baseline assumes that the peak
+force is proportional to the incoming speed. If the law does not predict held-out hits better than the
+baselines, the law's coefficients are useless, even if the law fits well.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def speed_groups(speed: Array) -> NDArray[np.intp]:
 def hold_out(problem: LawProblem) -> HeldOut:
     """Predict the hits at each speed from a fit to the hits at other speeds, and return the errors.
 
-    The hits are of one mode. If all have the same speed, each hit is predicted from the other hits.
+    The hits are of one mode. If all hits have the same speed, each hit is predicted from the other hits.
     """
     mode, n = problem.hits[0].trial.mode, len(problem.hits)
     if n < _MIN_HITS:
@@ -179,7 +179,7 @@ def _in_proportion(known: LawProblem, held: LawProblem) -> tuple[Array, Array]:
 
 
 def _scatter(problem: LawProblem, groups: NDArray[np.intp]) -> Errors:
-    """Return the errors if each hit is predicted by the median of all hits at its speed.
+    """Predict each hit by the median of all hits at its speed, and return the errors.
 
     A law that depends only on the speed can hardly have smaller errors.
     """

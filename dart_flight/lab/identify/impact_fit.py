@@ -101,7 +101,7 @@ class ImpactFit(LawFit):
         self._moved = (errors - pseudo).ravel()
 
     def resampling_groups(self) -> list[NDArray[np.intp]]:
-        """Return the rows of each hit as a group; with too few hits, all rows as one group."""
+        """Return the rows of each hit as a group, or all rows as one group if there are too few hits."""
         rows = np.arange(self._counts.size).reshape(4, -1)
         return list(rows.T) if rows.shape[1] >= _ENOUGH_HITS else [rows.ravel()]
 

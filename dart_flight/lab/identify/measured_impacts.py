@@ -83,7 +83,7 @@ def measure_impact(trial: Trial, mass_kg: float) -> MeasuredImpact:
 
 
 class _FreeFlightFit:
-    """A parabola fitted to free flight on one side of a contact, robust to outliers.
+    """A parabola that is robustly fitted to the free flight before or after a contact.
 
     The fit is linear, so each reweighting has a closed solution and needs no solver.
     """

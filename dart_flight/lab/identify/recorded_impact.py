@@ -159,7 +159,7 @@ def free_spans_s(
 ) -> tuple[float, float]:
     """Return the duration of free flight before and after a contact, at most `longest_s` each.
 
-    The free flight of a drop begins with the release. After the rebound it ends with the next contact.
+    In a drop, free flight begins with the release; after the rebound it ends with the next contact.
     """
     if acceleration_m_s2 >= 0.0:
         return longest_s

@@ -100,7 +100,7 @@ class TrialReading:
             collisions must be with one material.
         drop: whether gravity acts along the normal.
         contact_distance_m: distance between the surface and the vehicle's centre at first touch. The readers
-            subtract it from the normal positions; 0 if these already count from first touch.
+            subtract it from the normal positions; 0 if these positions already count from first touch.
         columns: our column name -> header in the file.
         wall: for logs in local NED: north and east (m) of the vehicle's centre when the vehicle touches the
             wall, and the heading of the wall's outward normal, degrees.

@@ -416,8 +416,8 @@ def _mean_size(track: Track, window_s: float) -> Array:
 def _with_crashes(impacts: list[InspectedImpact], crashes: list[InspectedImpact]) -> list[InspectedImpact]:
     """Merge impacts and crashes in order.
 
-    A crash replaces the impacts that are within `_FALLING_S` of it. Impacts in the next seconds are part of
-    the crash, and later impacts are `untold`.
+    A crash replaces the impacts that are within `_FALLING_S` of the crash. Impacts in the next seconds are
+    part of the crash, and later impacts are `untold`.
     """
     kept = list(crashes)
     for impact in impacts:

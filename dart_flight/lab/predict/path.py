@@ -84,7 +84,7 @@ class _Integral:
         return at_nodes, self._primitive(at_nodes)
 
     def _inside(self, series: Array, t: Array) -> Array:
-        """Evaluate a series at the times `t`: 0 before the contact, the value at its end after it."""
+        """Return a series at the times `t`: 0 before the contact, and its last value after the contact."""
         value = np.where(t > 0.0, series.sum(), 0.0)
         inside = (t > 0.0) & (t < self._end)
         x = 2.0 * t[inside] / self._end - 1.0
@@ -173,7 +173,7 @@ class ContactMotion:
         return self._slipped.once(t) if self.has_contact else t.copy()
 
     def rise(self, time_s: ArrayLike) -> Array:
-        """Return the velocity caused by the vertical force, along this force, m/s, for nu = 1 N.
+        """Return the velocity that the vertical force causes in its own direction if nu is 1 N, m/s.
 
         The velocity is proportional to nu.
         """
@@ -181,7 +181,7 @@ class ContactMotion:
         return self._raised.once(t) if self.has_contact else np.zeros_like(t)
 
     def lift(self, time_s: ArrayLike) -> Array:
-        """Return the displacement caused by the vertical force, along this force, m, for nu = 1 N.
+        """Return the displacement that the vertical force causes in its own direction if nu is 1 N, m.
 
         The displacement is proportional to nu.
         """

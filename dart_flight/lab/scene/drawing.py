@@ -107,7 +107,7 @@ def arrow(at: Vec3, force_n: Vec3, colour: Color) -> ArrowPrimitive:
 
 
 def _turned_to(v: Vec3) -> Rotation:
-    """Return the rotation from x to a direction: yaw, then pitch."""
+    """Return the rotation of the x axis to a direction: first yaw, then pitch."""
     yaw, pitch = math.atan2(v[1], v[0]), -math.atan2(v[2], math.hypot(v[0], v[1]))
     cy, sy, cp, sp = math.cos(yaw / 2), math.sin(yaw / 2), math.cos(pitch / 2), math.sin(pitch / 2)
     return (cy * cp, -sy * sp, cy * sp, sy * cp)

@@ -34,7 +34,7 @@ class ForceState(Record, frozen=True, gc=False):
     t_us: int
     force_n: float  # magnitude
     normal_n: float  # component along the outward normal of the nearest wall
-    along_n: float  # component along this wall, positive to the right for a view out of the wall
+    along_n: float  # component along this wall, positive to the right when looking out of the wall
     up_n: float
     clipped: bool
 
@@ -46,7 +46,7 @@ class TrueForce(Record, frozen=True, gc=False):
     t_us: int
     force_n: float  # magnitude
     normal_n: float  # component along the outward normal of the nearest wall
-    along_n: float  # component along this wall, positive to the right for a view out of the wall
+    along_n: float  # component along this wall, positive to the right when looking out of the wall
     up_n: float
 
 

@@ -49,7 +49,7 @@ def safe_speed_m_s(limits: MotionLimits, room_m: float, reaction_s: float) -> fl
 def plan_limited_sight(
     scenario: Scenario, sight: SightSpec, progress: Callable[[int, int], None]
 ) -> tuple[Plan | None, Plan | None, int]:
-    """Return the fastest flight without a hit, that with a hit, and the number of computed flights.
+    """Return the fastest flights without and with a hit, and the number of computed flights.
 
     The scenario has one wall, in front of the start.
 

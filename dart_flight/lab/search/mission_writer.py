@@ -166,7 +166,7 @@ class RefusedPlanError(InputError):
 
     @property
     def reason(self) -> str:
-        """The reason, with the mission's key."""
+        """The reason for the refusal, with the mission's key."""
         return ": ".join(part for part in (dotted(self.key), self.message) if part)
 
 

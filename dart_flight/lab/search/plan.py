@@ -162,9 +162,9 @@ class SearchResult(msgspec.Struct, frozen=True):
 
     Attributes:
         plans: the best plans, in order. With `quickest`, they are the fastest plan with a collision and the
-            fastest plan without; if the scenario requires a sequence, its plan is first.
-        candidates, feasible: number of candidates, and number of feasible candidates. With `quickest`,
-            candidates are sequences of collisions; sequences that their bounds rule out count as infeasible.
+        fastest plan without one; if the scenario requires a sequence, its plan is first. candidates,
+        feasible: number of candidates, and number of feasible candidates. With `quickest`, candidates are
+        sequences of collisions; sequences that their bounds rule out count as infeasible.
         trajectories: number of simulated or computed trajectories, including the draws of `robust`.
         elapsed_s: duration, including preparation.
         refused: number of rejected candidates for each reason.

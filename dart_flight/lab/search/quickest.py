@@ -151,7 +151,7 @@ class LeastTimes:
     def _to_speed(self, end: LegEnd, leaving: bool, levels: bool) -> tuple[Array, Array]:
         """Return the time and distance to gain or lose each of `_speeds` at a leg's end.
 
-        If `levels` is True, the acceleration must be zero at this speed.
+        If `levels` is True, the acceleration must be zero when the vehicle has one of these speeds.
         """
         v, a, j = self._speeds, self._limits.acceleration_m_s2, self._limits.jerk_m_s3
         zero = np.zeros_like(v)

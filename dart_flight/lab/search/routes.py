@@ -147,8 +147,8 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    If an end of the path is inside the disc, the path enters if its middle is nearer to the centre than both
-    ends.
+    If an end of the path is inside the disc, the path counts as entering if its middle is nearer to the
+    centre than both ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))

@@ -1,4 +1,4 @@
-"""Exhaustive search over approach velocities and mode sequences, with rejection reasons and ranked plans.
+"""Exhaustive search over approach velocities and mode sequences, which ranks plans and counts rejections.
 
 `search` is the planner. Its rollouts are in `planning.rollout`, and its constraints in
 `planning.constraints`.

@@ -65,7 +65,7 @@ def impact_forces(flight: RecordedFlight, impact: Impact, *, look: Look = PAGE) 
 
 @in_style
 def impact_forces_over_trials(flights: Sequence[RecordedFlight], index: int, *, look: Look = PAGE) -> Any:
-    """Draw one collision's normal force: the estimate of each flight, its mean, and the mean prediction."""
+    """Draw one collision's normal force: each flight's estimate, mean estimate and mean prediction."""
     figure, axis = new_figure(look, 3.0)
     grid = np.arange(-0.05, 0.17, 0.002)
     curves, predictions = [], []

@@ -294,7 +294,7 @@ def along(line: Array, step_m: float = 0.03) -> Array:
 def finish_map(
     figure: Any, plan: Any, shown: RoomMap, look: Look, *, below: Any = None, note: str = ""
 ) -> None:
-    """Add north, axes, legend, names of walls and labels to a map in a view that is already set.
+    """Finish a map whose view is set: add the north arrow, axes, legend, names of walls and labels.
 
     Args:
         figure: a figure with constrained layout.

@@ -110,7 +110,7 @@ def _flown_line(mission: Mission) -> str:
 
 
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
-    """Return the points that the plan view must include: the flight without setpoints outside of the bounds.
+    """Return the points that the plan view must include: the flight, but no setpoint outside of the bounds.
 
     The bounds are included if the flight does not become small in the view.
     """

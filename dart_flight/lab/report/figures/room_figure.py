@@ -59,8 +59,8 @@ def room_figure(mission: Mission, room: Room, touches: Sequence[RoomContact], *,
 def _add_wall(shown: RoomMap, wall: RoomWall, corners: tuple[Vec2 | None, Vec2 | None], name: str) -> None:
     """Add a wall and its uncertainty band.
 
-    The wall is drawn from corner to corner. If a corner is missing, it is drawn up to `_OPEN_M` beyond its
-    outermost contacts.
+    The wall is drawn from corner to corner. If a corner is missing, the wall is drawn to `_OPEN_M` beyond its
+    outermost contact.
     """
     normal, tangent = np.array(wall.normal), np.array([-wall.normal[1], wall.normal[0]])
     touched = np.array([touch.place for touch in wall.touches]) @ tangent
