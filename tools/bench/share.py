@@ -46,7 +46,7 @@ def _thread_names() -> dict[int, str]:
 
 
 async def _measure(seconds: float, extra: Callable[[], Shares] = dict) -> Shares:
-    """Return the shares of this process's threads from now on; `extra` adds seconds of other processes."""
+    """Measure the shares of this process's threads for `seconds`; `extra` adds seconds of other processes."""
     names, before, began, others = _thread_names(), thread_seconds(), time.monotonic(), extra()
     await asyncio.sleep(seconds)
     wall = time.monotonic() - began

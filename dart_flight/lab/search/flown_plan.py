@@ -72,7 +72,7 @@ def fly_on_all_cores(
     done: Done,
     announce: Callable[[int], None] = lambda under_way: None,
 ) -> list[Verdict]:
-    """Fly in parallel processes, like `dry-run --fast --runs`; `announce` is that of `Interrupt`."""
+    """Fly in parallel processes, like `dry-run --fast --runs`; an `Interrupt` calls `announce`."""
     return fly_fast_many(mission, seeds, None, done, spreads, announce)
 
 
