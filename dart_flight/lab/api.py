@@ -357,8 +357,7 @@ def plan(
     Args:
         scenario: a scenario, or a file or mapping for `load_scenario`.
         vehicle: the configuration to use instead of the scenario's configuration.
-        objective: `nearest`, `fastest`, `gentlest`, `robust` or `quickest`; by default the scenario's
-            objective.
+        objective: `nearest`, `fastest`, `gentlest`, `robust` or `quickest`; default: that of the scenario.
         top: number of plans to keep.
         seed: seed of the random sets of values that the objective `robust` evaluates.
         within_s: time limit of the search with the objective `quickest`.
