@@ -96,7 +96,7 @@ class Studio:
         with tabs.add_tab("Fly" if page.file is not None else "Flights"):
             self.flights = FlyTab(page)
             self.player = Player(page, reports)
-            self.flights.play = self.player.play
+            self.flights.play, self.flights.clear = self.player.play, self.player.close
         with tabs.add_tab("View"):
             page.button("From above", self._room.look_from_above, color="gray")
             self._dark = gui.add_checkbox("dark", dark)
@@ -120,7 +120,8 @@ class Studio:
                 page.run_tasks(_FRAME_S if self.player.is_moving else _IDLE_S)
                 if self.player.is_moving:
                     page.perform(self.player.tick)
-                    self._watch.label = self.player.watch_label
+                    if not self.player.is_moving:  # a watched flight may have ended
+                        self._watch.label = self.player.watch_label
                 if time.monotonic() - looked_s > _DISK_S:
                     looked_s = time.monotonic()
                     page.perform(self._look_at_disk)
