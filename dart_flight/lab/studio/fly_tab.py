@@ -32,12 +32,13 @@ class FlyTab:
 
     Attributes:
         landed: the flights so far; after the last, the failed ones first.
-        play: plays the flight of a log; the studio sets it.
+        play, clear: play the flight of a log, and remove it; the studio sets them.
     """
 
     def __init__(self, page: StudioPage) -> None:
         self._page = page
         self.play: Callable[[Path], None] = lambda log: None
+        self.clear: Callable[[], None] = lambda: None
         self._number = self._again = 0  # of the request, and of that for one flight again, with a log
         self._flown: tuple[str, Path, FlyRequest] | None = None  # text, file and request of the flights
         self.landed: list[FlownOne] = []
@@ -76,6 +77,7 @@ class FlyTab:
         # A flight without a log is flown again when it is opened.
         request = FlyRequest(int(self._seed.value), flights, vary, fault, log=flights == 1)
         self._flown, self.landed = (file.text, file.path, request), []
+        self.clear()
         self._show_lines()
         self._choice.visible = self._open.visible = False
         self._number = engine.fly(file.text, file.path, request)

@@ -103,13 +103,13 @@ class Player:
         self._slider.min, self._slider.max = float(flight.time_s[0]), float(flight.time_s[-1])
         self._link.visible, self._next.visible = False, bool(flight.hits)
         self._controls.visible = True
+        self.at_s = float(flight.time_s[0])
         self.redraw()
-        self.seek(float(flight.time_s[0]))
         self.play_or_pause()
 
     def close(self) -> None:
-        """Remove the flight."""
-        self._begun = self.flight = self._hit = None
+        """Remove the flight, or stop to watch it."""
+        self._begun = self.flight = self._hit = self._watched = None
         self._controls.visible = False
         self._title.content = block(line(_NO_FLIGHT, QUIET))
         self._remove_charts()
@@ -148,9 +148,8 @@ class Player:
     def watch_or_stop(self) -> None:
         """Begin to watch the flight that writes its log, or stop."""
         if self._watched is not None:
-            self._watched = None
-            self._page.note("stopped watching")
             self.close()
+            self._page.note("stopped watching")
             return
         watched = WatchedFlight(growing_log(self._page.log_dir))
         self._prepare(scene_of_mission(watched.mission))

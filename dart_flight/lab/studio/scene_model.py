@@ -27,7 +27,7 @@ from dart_flight.lab.flight_arrays import Array
 from dart_flight.lab.map_model import DrawnWall, Line, at_altitude, drawn_walls, uncertainty_band
 from dart_flight.lab.mission_map import PlannedHit, mission_map, planned_hits
 from dart_flight.lab.search.scenario import Scenario, VisitSpec, parse_scenario
-from dart_flight.lab.studio.objects import entry_of
+from dart_flight.lab.studio.objects import base_name, entry_of
 from dart_flight.lab.studio.open_file import Tree
 from dart_flight.planning.predicted_flight import PredictedFlight
 
@@ -163,60 +163,55 @@ def _vehicle_of(document: Document) -> VehicleConfig:
 
 
 def scene_of_mission(mission: Mission, planned: PredictedFlight | None = None) -> Scene:
-    """Return the scene of a mission that is not an open file, such as that of a recorded flight."""
+    """Return the scene of a mission, with its predicted path and hits if the flight is given."""
     airframe, z = mission.vehicle.airframe, mission.altitude_m
-    walls = [("wall", wall) for wall in mission.flat_walls]
-    walls += [("simulated", wall) for wall in mission.simulated_walls]
-    start = StartSpec(mission.start, z)
+    walls = [(f"wall/{base_name(wall.name)}", wall) for wall in mission.flat_walls]
+    walls += [(f"simulated/{base_name(wall.name)}", wall) for wall in mission.simulated_walls]
     waypoints = [waypoint.position for waypoint in mission.waypoints]
-    scene = Scene(
+    return Scene(
         mission.name,
         mission.bounds,
         math.radians(mission.frame.heading_deg),
         airframe,
-        _wall_shapes([(f"{kind}/{wall.name}", wall) for kind, wall in walls], airframe),
+        _wall_shapes(walls, airframe),
         list(mission.posts),
-        list(_places(z, start, waypoints, [], mission.goal)),
+        list(_places(z, StartSpec(mission.start, z), waypoints, [], mission.goal)),
+        list(planned_hits(mission, planned)),
+        [
+            path if path.points.shape[1] == 3 else path._replace(points=at_altitude(path.points, z))
+            for path in mission_map(mission, planned).paths
+        ],
+        predicted=planned is not None,
     )
-    _add_flight(scene, mission, planned)
-    return scene
 
 
 def scene_of(loaded: LoadedFile, planned: PredictedFlight | None = None) -> Scene:
-    """Return the scene of a file, with a mission's predicted path and hits if the flight is given.
+    """Return the scene of a file, with the handles of its objects."""
+    if isinstance(loaded.resolved, Mission):
+        scene = scene_of_mission(loaded.resolved, planned)
+    else:
+        scene = _scene_as_written(loaded)
+    scene.handles = list(_handles(scene, loaded.document.tree))
+    return scene
 
-    Parts that do not load are left out, so that a text with an error still shows its room.
-    """
-    tree, resolved = loaded.document.tree, loaded.resolved
-    mission = resolved if isinstance(resolved, Mission) else None
-    airframe = loaded.vehicle.airframe
-    found = list(_walls_of(tree, loaded.vehicle))
+
+def _scene_as_written(loaded: LoadedFile) -> Scene:
+    """Return the scene of a scenario, or of a text with an error without the parts that do not load."""
+    tree, airframe = loaded.document.tree, loaded.vehicle.airframe
     z = _number(tree, "start", "altitude_m") or 1.0
     start, goal = _converted(tree.get("start"), StartSpec), _converted(tree.get("goal"), GoalSpec)
     visits = [_converted(value, VisitSpec) for value in _list(tree, "visits")]
-    if mission is not None:
-        waypoints = [waypoint.position for waypoint in mission.waypoints]
-    else:
-        waypoints = list(_waypoints_as_written(tree, z))
-    scene = Scene(
+    posts = [(name, _converted(value, PostSpec)) for name, value in _entries(tree, "posts")]
+    return Scene(
         str(tree.get("name") or Path(loaded.document.source).stem),
         _converted(tree.get("bounds_m"), BoundsSpec) or _NO_BOUNDS,
         math.radians(_number(tree, "frame", "heading_deg") or 0.0),
         airframe,
-        _wall_shapes([(object_id, wall) for object_id, wall, _ in found], airframe),
-        [
-            Post(name, post.centre_m, post.radius_m, post.material)
-            for name, value in _entries(tree, "posts")
-            if (post := _converted(value, PostSpec)) is not None
-        ],
-        list(_places(z, start, waypoints, visits, goal)),
+        _wall_shapes(list(_walls_as_written(tree, loaded.vehicle)), airframe),
+        [Post(name, post.centre_m, post.radius_m, post.material) for name, post in posts if post is not None],
+        list(_places(z, start, _waypoints_as_written(tree, z), visits, goal)),
         problem=None if loaded.error is None else loaded.error.one_line(),
     )
-    if mission is not None:
-        _add_flight(scene, mission, planned)
-    points = {object_id: point for object_id, _, point in reversed(found)}
-    scene.handles = list(_handles(scene, tree, points, z))
-    return scene
 
 
 def build_scene(text: str, path: Path) -> Scene:
@@ -224,23 +219,13 @@ def build_scene(text: str, path: Path) -> Scene:
     return scene_of(load_text(text, path))
 
 
-def _add_flight(scene: Scene, mission: Mission, planned: PredictedFlight | None) -> None:
-    z = mission.altitude_m
-    scene.paths = [
-        path if path.points.shape[1] == 3 else path._replace(points=at_altitude(path.points, z))
-        for path in mission_map(mission, planned).paths
-    ]
-    scene.hits = list(planned_hits(mission, planned))
-    scene.predicted = planned is not None
-
-
 def _wall_shapes(found: list[tuple[str, Wall]], airframe: Airframe) -> list[WallShape]:
     drawn = drawn_walls([wall for _, wall in found], airframe)
     return [WallShape(object_id, wall) for (object_id, _), wall in zip(found, drawn, strict=True)]
 
 
-def _walls_of(tree: Tree, vehicle: VehicleConfig) -> Iterator[tuple[str, Wall, Vec2]]:
-    """Yield id, wall and point in the file of each wall that loads, and of each face of a partition."""
+def _walls_as_written(tree: Tree, vehicle: VehicleConfig) -> Iterator[tuple[str, Wall]]:
+    """Yield id and wall of each wall that loads, and of each face of a partition."""
     for section, kind in (("walls", "wall"), ("simulated_walls", "simulated")):
         for name, value in _entries(tree, section):
             spec = _converted(value, WallSpec)
@@ -250,8 +235,7 @@ def _walls_of(tree: Tree, vehicle: VehicleConfig) -> Iterator[tuple[str, Wall, V
             loads = msgspec.structs.replace(spec, material=known, given_at=spec.given_at or "centre")
             resolved = resolve_walls({name: loads}, vehicle, Document.from_tree({}), section)
             for wall in resolved.values():
-                shown = msgspec.structs.replace(wall, material=spec.material)
-                yield f"{kind}/{name}", shown, spec.point_m
+                yield f"{kind}/{name}", msgspec.structs.replace(wall, material=spec.material)
 
 
 def _places(
@@ -283,9 +267,12 @@ def _waypoints_as_written(tree: Tree, z: float) -> Iterator[Vec3 | None]:
         yield None if spec is None or spec.position_m is None else (*spec.position_m, z)
 
 
-def _handles(scene: Scene, tree: Tree, points: dict[str, Vec2], z: float) -> Iterator[Handle]:
+def _handles(scene: Scene, tree: Tree) -> Iterator[Handle]:
+    z = _number(tree, "start", "altitude_m") or 1.0
     fronts = {wall.id: wall for wall in reversed(scene.walls)}  # a partition has one handle, at its front
-    yield from (Handle(name, (*points[name], z), wall.yaw_rad) for name, wall in fronts.items())
+    for name, wall in fronts.items():
+        x, y = entry_of(tree, name)["point_m"]
+        yield Handle(name, (x, y, z), wall.yaw_rad)
     yield from (Handle(f"post/{post.name}", (*post.centre, z)) for post in scene.posts)
     for place in scene.places:
         written = entry_of(tree, place.id)

@@ -96,14 +96,14 @@ class Studio:
         with tabs.add_tab("Fly" if page.file is not None else "Flights"):
             self.flights = FlyTab(page)
             self.player = Player(page, reports)
-            self.flights.play = self.player.play
+            self.flights.play, self.flights.clear = self.player.play, self.player.close
         with tabs.add_tab("View"):
             page.button("From above", self._room.look_from_above, color="gray")
             self._dark = gui.add_checkbox("dark", dark)
             page.when_changed(self._dark, self.use_dark)
             hint = "through its log, read-only; nothing here reaches a vehicle"
             self._watch = page.button(
-                "Watch a flight in progress", self._watch_or_stop, color="gray", hint=hint
+                self.player.watch_label, self.player.watch_or_stop, color="gray", hint=hint
             )
         self.use_dark(dark)
 
@@ -120,6 +120,7 @@ class Studio:
                 page.run_tasks(_FRAME_S if self.player.is_moving else _IDLE_S)
                 if self.player.is_moving:
                     page.perform(self.player.tick)
+                if self._watch.label != self.player.watch_label:  # a watched flight has begun or ended
                     self._watch.label = self.player.watch_label
                 if time.monotonic() - looked_s > _DISK_S:
                     looked_s = time.monotonic()
@@ -291,7 +292,3 @@ class Studio:
         self.page.palette = DARK if dark else LIGHT
         self._draw()
         self.player.redraw()
-
-    def _watch_or_stop(self) -> None:
-        self.player.watch_or_stop()
-        self._watch.label = self.player.watch_label

@@ -25,7 +25,6 @@ from dart_flight.lab.studio.scene_model import (
     build_scene,
     load_text,
     scene_of,
-    scene_of_mission,
 )
 from tests.lab.studio.files import DUAL, FILES, MISSIONS, ROOT, name_of, one_edit, try_edit
 
@@ -160,12 +159,14 @@ def test_the_model_loads_neither_the_vehicle_nor_a_browser_nor_matplotlib() -> N
 
 
 @pytest.mark.parametrize("path", MISSIONS, ids=name_of)
-def test_the_mission_of_a_flight_is_shown_as_its_file(path: Path) -> None:
-    mission, scene = whole_scene(path)
-    flown = scene_of_mission(mission, predict_flight_path(mission))
-    assert [wall.drawn for wall in flown.walls] == [wall.drawn for wall in scene.walls]
-    assert flown.places == scene.places
-    assert [hit.text for hit in flown.hits] == [hit.text for hit in scene.hits]
+def test_the_parts_of_a_mission_with_an_error_are_where_those_of_the_mission_are(path: Path) -> None:
+    loaded = load_text(path.read_text("utf-8"), path)
+    scene, parts = scene_of(loaded), scene_of(loaded._replace(resolved=None))
+    assert [wall.drawn for wall in parts.walls] == [wall.drawn for wall in scene.walls]
+    assert [wall.id for wall in parts.walls] == [wall.id for wall in scene.walls]
+    assert set(parts.places) <= set(scene.places)
+    assert {"start", "goal"} <= {place.id for place in parts.places}
+    assert parts.handles == [handle for handle in scene.handles if handle in parts.handles]
 
 
 def test_a_loaded_text_is_the_loaded_file() -> None:
