@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
 from datetime import UTC, date, datetime
 from pathlib import Path
 
@@ -117,6 +119,22 @@ def test_a_batch_that_was_not_flown_is_replaced(series: SeriesFolder) -> None:
     for _ in range(2):
         assert main(["series", "next", SERIES]) == 0
     assert [path.name for path in series.batches()] == ["01"]
+
+
+def test_a_killed_flight_is_named_and_the_next_batch_follows(
+    series: SeriesFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fly(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        log = Path(call[call.index("--log-dir") + 1]) / "killed/flight.mcap"
+        log.parent.mkdir(parents=True)
+        log.write_bytes(b"\x89MCAP0\r\n")
+        return subprocess.CompletedProcess(call, -signal.SIGKILL)
+
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fly)
+    assert main(["series", "fly", SERIES, "--fast"]) == 1
+    assert "SIGKILL has ended the flight's program; its hits are kept" in capsys.readouterr().err
+    assert main(["series", "next", SERIES]) == 0
+    assert [path.name for path in series.batches()] == ["01", "02"]
 
 
 def test_two_programs_cannot_write_a_series(series: SeriesFolder, capsys: pytest.CaptureFixture[str]) -> None:
