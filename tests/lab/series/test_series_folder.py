@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import subprocess
 from datetime import UTC, date, datetime
@@ -144,6 +146,21 @@ def test_two_programs_cannot_write_a_series(series: SeriesFolder, capsys: pytest
     with locked(series.path), pytest.raises(FlightError), locked(series.path):
         pass
     assert main(["series", "next", SERIES]) == 0
+
+
+def test_on_a_full_disk_nothing_changes(
+    series: SeriesFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    refusal_of: Refuse,  # noqa: F811
+) -> None:
+    def full(descriptor: int, data: bytes, offset: int) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "pwrite", full)
+    before = (series.path / "series.yaml").read_bytes()
+    line = refusal_of("series", "exclude", SERIES, "01:1", "--why", "a cable")
+    assert "No space left on device; put the series on a local disk with free space" in line
+    assert (series.path / "series.yaml").read_bytes() == before
 
 
 def test_a_change_of_the_settings_keeps_comments(series: SeriesFolder) -> None:
