@@ -89,11 +89,11 @@ class HeldFile:
     for any reason. Two parts of one process exclude each other as well. A forked child does not inherit the
     locks of its parent. A process that has called `keep` holds the file until the process ends. With
     `pass_kept` a child process holds the file, too. Every account can hold the file, even if another account
-    has created it.
+    has created it. `remedy` is the advice of an error.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, remedy: str = REMEDY) -> None:
+        self._path, self._remedy = path, remedy
         self._descriptor: int | None = None
 
     def acquire(self, content: bytes) -> None:
@@ -127,7 +127,7 @@ class HeldFile:
             os.pwrite(self._descriptor, content, 0)
             os.ftruncate(self._descriptor, len(content))
         except OSError as error:
-            raise _cannot("write", self._path, error) from None
+            raise _cannot("write", self._path, error, self._remedy) from None
 
     def keep(self) -> None:
         """Hold the file until this process ends, even if `release` and `acquire` are called again."""
@@ -160,7 +160,7 @@ class HeldFile:
                 continue
             locked = False
             try:
-                if not lock_file(descriptor, self._path, REMEDY):
+                if not lock_file(descriptor, self._path, self._remedy):
                     other = os.pread(descriptor, _LONGEST, 0)
                 elif _is_at(descriptor, self._path):  # false if the previous holder has removed the file
                     locked = True
@@ -182,7 +182,7 @@ class HeldFile:
         except FileExistsError:
             pass
         except OSError as error:
-            raise _cannot("create", self._path, error) from None
+            raise _cannot("create", self._path, error, self._remedy) from None
         else:
             os.fchmod(descriptor, 0o666)  # fchmod ignores the umask
             return descriptor
@@ -194,7 +194,7 @@ class HeldFile:
             except OSError as error:
                 problem = error
         if last:
-            raise _cannot("open", self._path, problem)
+            raise _cannot("open", self._path, problem, self._remedy)
         return None  # another program may have created the file and not yet set its mode
 
 
@@ -264,9 +264,9 @@ def program_name() -> str:
     return " ".join(["dart-flight", *arguments[:1]])
 
 
-def _cannot(do: str, path: Path, error: OSError) -> InputError:
+def _cannot(do: str, path: Path, error: OSError, remedy: str = REMEDY) -> InputError:
     if path.parent not in _SHARED:
-        return cannot(do, path, error)
+        return cannot(do, path, error, remedy)
     remedy = f"make {path.parent} writable (in a systemd unit: ReadWritePaths={path.parent})"
     if error.errno in (errno.EACCES, errno.EPERM):
         remedy = f"sudo chmod 666 {path}"

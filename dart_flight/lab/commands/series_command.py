@@ -285,6 +285,8 @@ def _fly(arguments: argparse.Namespace) -> int:
         status = subprocess.run(call, check=False).returncode
     print_status(f"the flight is in {display_path(folder.flights_of(path.parent))}")
     _print_status_table(_read(arguments)[3])
+    if status < 0:
+        raise FlightError(f"{signal.Signals(-status).name} has ended the flight's program; its hits are kept")
     return status
 
 

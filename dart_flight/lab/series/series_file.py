@@ -254,7 +254,7 @@ def locked(path: Path) -> Iterator[None]:
     """
     with report_write_errors(path):
         path.mkdir(parents=True, exist_ok=True)
-    held = HeldFile(path / _LOCK)
+    held = HeldFile(path / _LOCK, "put the series on a local disk with free space")
     try:
         held.acquire(f"{program_name()}, process {os.getpid()}".encode())
     except HeldError as error:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import signal
+import subprocess
 from datetime import UTC, date, datetime
 from pathlib import Path
 
@@ -119,6 +123,22 @@ def test_a_batch_that_was_not_flown_is_replaced(series: SeriesFolder) -> None:
     assert [path.name for path in series.batches()] == ["01"]
 
 
+def test_a_killed_flight_is_named_and_the_next_batch_follows(
+    series: SeriesFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fly(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        log = Path(call[call.index("--log-dir") + 1]) / "killed/flight.mcap"
+        log.parent.mkdir(parents=True)
+        log.write_bytes(b"\x89MCAP0\r\n")
+        return subprocess.CompletedProcess(call, -signal.SIGKILL)
+
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fly)
+    assert main(["series", "fly", SERIES, "--fast"]) == 1
+    assert "SIGKILL has ended the flight's program; its hits are kept" in capsys.readouterr().err
+    assert main(["series", "next", SERIES]) == 0
+    assert [path.name for path in series.batches()] == ["01", "02"]
+
+
 def test_two_programs_cannot_write_a_series(series: SeriesFolder, capsys: pytest.CaptureFixture[str]) -> None:
     with locked(series.path):
         assert main(["series", "next", SERIES]) == 1
@@ -126,6 +146,21 @@ def test_two_programs_cannot_write_a_series(series: SeriesFolder, capsys: pytest
     with locked(series.path), pytest.raises(FlightError), locked(series.path):
         pass
     assert main(["series", "next", SERIES]) == 0
+
+
+def test_on_a_full_disk_nothing_changes(
+    series: SeriesFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    refusal_of: Refuse,  # noqa: F811
+) -> None:
+    def full(descriptor: int, data: bytes, offset: int) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "pwrite", full)
+    before = (series.path / "series.yaml").read_bytes()
+    line = refusal_of("series", "exclude", SERIES, "01:1", "--why", "a cable")
+    assert "No space left on device; put the series on a local disk with free space" in line
+    assert (series.path / "series.yaml").read_bytes() == before
 
 
 def test_a_change_of_the_settings_keeps_comments(series: SeriesFolder) -> None:
