@@ -91,8 +91,8 @@ class EstimatedContact(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the cases: every set with every body."""
-    return [{"set": name, "body": body} for name in SETS for body in ("point", "guards")]
+    """Return the cases: every set."""
+    return [{"set": name} for name in SETS]
 
 
 def mission_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
@@ -112,8 +112,7 @@ def mission_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
     approach = {"normal_m_s": normal, "tangential_m_s": tangential}
     tree["collisions"][0] |= {"mode": mode.value, "approach": approach}
     tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 300.0}
-    settings = [f"simulation.contact.body={case['body']}", *chosen.settings]
-    return parse_mission(document, None, settings), disobeys
+    return parse_mission(document, None, list(chosen.settings)), disobeys
 
 
 def fly(point: Point, seed: int) -> EstimatedContact:
@@ -186,14 +185,14 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
 
 
 _HEADS = (
-    "set", "body", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
+    "set", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
     "intervals hold k, f, mu", "ms: median, latest",
 )  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every set and body."""
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "set", "body").items()])
+    """Return a table with a row for every set."""
+    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "set").items()])
 
 
 def _cells(mine: Sequence[EstimatedContact]) -> list[str]:

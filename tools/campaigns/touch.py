@@ -1,7 +1,7 @@
-"""Campaign: walls measured by touch: direction from one contact, survey, hits on plain GPS, and rooms.
+"""Campaign: walls measured by touch: direction from one contact, survey, and rooms (docs/results/touch.md).
 
-Every row (docs/results/touch.md) is a flight with all quantities drawn, or the flights in one room. Errors
-refer to the simulation's truth.
+The campaigns anchors and px4_touch also fly hits on plain GPS. A row is a flight with everything drawn, or
+the flights in one room. Errors refer to the simulation's truth.
 """
 
 from __future__ import annotations
