@@ -28,7 +28,7 @@ from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import grouped, markdown, median_and_most
+from tools.campaigns.results import grouped, markdown
 
 _LONGEST_S = 40.0
 _STUCK = MockFaults(servo=ServoFaults(stuck=True))
@@ -186,7 +186,7 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
 
 _HEADS = (
     "set", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
-    "intervals hold k, f, mu", "ms: median, latest",
+    "intervals hold k, f, mu",
 )  # fmt: skip
 
 
@@ -211,7 +211,6 @@ def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
         f"{_rms(turned):.2f}" if turned else "-",
         f"{_rms([1e3 * c.plane_error_m for c in mine]):.1f}",
         ", ".join(f"{share:.0f}" for share in covered) + " %",
-        median_and_most(c.after_ms for c in mine),
     ]
 
 

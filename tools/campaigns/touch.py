@@ -351,7 +351,7 @@ def _directions(walls: Sequence[EstimatedWall]) -> str:
 
 def _hits(hits: Sequence[HitOnGps]) -> str:
     rows = []
-    for low, high in ((0.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 30.0)):
+    for low, high in ((0.0, _RECENT_S), (_RECENT_S, 30.0)):
         here = [h for h in hits if low <= h.age_s < high]
         if here:
             off, expected = rms([h.moved_m for h in here]), rms([h.expected_sd_m for h in here])
