@@ -117,7 +117,7 @@ def fly(point: Point, seed: int) -> RoomFlight:
 
 
 _HEADS = (
-    "`check`", "rooms", "flights", "completed", "tumbled (95 %)", "tilt over 60°"
+    "`check`", "rooms", "flights", "completed", "tumbled (95 %)"
 )  # fmt: skip
 
 
@@ -138,5 +138,4 @@ def _cells(mine: Sequence[JudgedRow]) -> list[str]:
         str(len(flown)),
         str(sum(f.completed for f in flown)),
         rate(tumbled, len(flown), 1),
-        str(sum(f.tilt_deg > 60.0 for f in flown)),
     ]
