@@ -86,8 +86,10 @@ _HEADS = ("guards", "drawn", "wall yaw", "completed", "uncontrolled", "tilt °",
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every body and yaw, with median and worst figures after a first hit."""
-    groups = grouped(rows, _GUARDS, "drawn", "yaw_deg")
+    """Return a row for every body and size of the yaw, with median and worst figures after a first hit."""
+    groups: dict[tuple[str, ...], list[BodyFlight]] = {}
+    for (guards, drawn, yaw), mine in grouped(rows, _GUARDS, "drawn", "yaw_deg").items():
+        groups.setdefault((guards, drawn, f"{abs(float(yaw)):g}°"), []).extend(mine)
     return markdown(
         _HEADS, [[f"{float(g) * 100:g} cm", drawn, yaw, *_cells(mine)]
                  for (g, drawn, yaw), mine in groups.items()],

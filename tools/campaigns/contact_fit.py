@@ -28,7 +28,7 @@ from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import grouped, markdown, median_and_most
+from tools.campaigns.results import grouped, markdown
 
 _LONGEST_S = 40.0
 _STUCK = MockFaults(servo=ServoFaults(stuck=True))
@@ -91,8 +91,8 @@ class EstimatedContact(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return the cases: every set with every body."""
-    return [{"set": name, "body": body} for name in SETS for body in ("point", "guards")]
+    """Return the cases: every set."""
+    return [{"set": name} for name in SETS]
 
 
 def mission_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
@@ -112,8 +112,7 @@ def mission_of(case: dict[str, str], seed: int) -> tuple[Mission, bool]:
     approach = {"normal_m_s": normal, "tangential_m_s": tangential}
     tree["collisions"][0] |= {"mode": mode.value, "approach": approach}
     tree["limits"] = {"speed_m_s": 4.0, "peak_force_n": 300.0}
-    settings = [f"simulation.contact.body={case['body']}", *chosen.settings]
-    return parse_mission(document, None, settings), disobeys
+    return parse_mission(document, None, list(chosen.settings)), disobeys
 
 
 def fly(point: Point, seed: int) -> EstimatedContact:
@@ -186,14 +185,14 @@ def _mode_by_time(material: str, mission: Mission, measured_ms: float | None) ->
 
 
 _HEADS = (
-    "set", "body", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
-    "intervals hold k, f, mu", "ms: median, latest",
+    "set", "contacts", "wrong", "undecided", "wrong by duration", "direction rms °", "place rms mm",
+    "intervals hold k, f, mu",
 )  # fmt: skip
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every set and body."""
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "set", "body").items()])
+    """Return a table with a row for every set."""
+    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "set").items()])
 
 
 def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
@@ -212,7 +211,6 @@ def _cells(mine: Sequence[EstimatedContact]) -> list[str]:
         f"{_rms(turned):.2f}" if turned else "-",
         f"{_rms([1e3 * c.plane_error_m for c in mine]):.1f}",
         ", ".join(f"{share:.0f}" for share in covered) + " %",
-        median_and_most(c.after_ms for c in mine),
     ]
 
 

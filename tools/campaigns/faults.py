@@ -15,7 +15,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
     flights: dict[str, list[FaultFlight]] = {}
     flown = [r for r in rows if r.row.began and r.values["phase"] != ON_GROUND]
     for (fault,), mine in grouped(flown, "fault").items():
-        ends = ", ".join(dict.fromkeys(flight.came_of for flight in mine))
+        ends = ", ".join(sorted({flight.came_of for flight in mine}))
         alike.setdefault(ends, []).append(fault)
         flights.setdefault(ends, []).extend(mine)
     table = [[", ".join(alike[ends]), ends, _range_ms(flights[ends])] for ends in alike]

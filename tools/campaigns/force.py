@@ -46,7 +46,7 @@ def fly(point: Point, seed: int) -> Estimated:
     ringing = {"white_m_s2": noise, "tone_m_s2": float(point.case["tone_m_s2"])}
     v = fly_fast(point.mission.replace({"vehicle.simulation.imu_ringing": ringing}), seed, None)
     real = [c for c in v.collisions if c.truth is not None]
-    false = sum(c.truth is None for c in [*v.collisions, *v.other_contacts])
+    false = len(v.collisions) - len(real) + sum(c.truth is None for c in v.other_contacts)
     errors = [abs(c.force_error) for c in real if c.force_error is not None]
     latencies_ms = [c.detection_latency_ms for c in real if c.detection_latency_ms is not None]
     return Estimated(len(point.mission.collisions), len(real), false, errors, latencies_ms)

@@ -44,10 +44,11 @@ def fly(point: Point, seed: int) -> TiltedFlight:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the largest tilt of three walls: a row for every mode and height, a column for every speed."""
-    table: dict[tuple[str, str], list[str]] = {}
-    for (mode, height, _), mine in grouped(rows, "mode", "height_m", "normal_m_s").items():
-        table.setdefault((mode, height), []).append(f"{max(f.tilt_deg for f in mine):.0f}")
-    speeds = dict.fromkeys(r.values["normal_m_s"] for r in rows)
-    heads = ("mode", "guards, cm", *(f"{speed} m/s" for speed in speeds))
-    return markdown(heads, [[mode, f"{100.0 * float(h):+.0f}", *cells] for (mode, h), cells in table.items()])
+    """Return the largest tilt of three walls; pairs are for rigid and flexible arms."""
+    table: dict[str, dict[str, list[str]]] = {}
+    for (height, speed, _), mine in grouped(rows, "height_m", "normal_m_s", "mode").items():
+        cells = table.setdefault(height, {}).setdefault(speed, [])
+        cells.append(f"{max(f.tilt_deg for f in mine):.0f}")
+    heads = ("guards, cm", *(f"{speed} m/s" for speed in dict.fromkeys(r.values["normal_m_s"] for r in rows)))
+    cm = {height: f"{100.0 * float(height):+.0f}" for height in table}
+    return markdown(heads, [[cm[h], *map(", ".join, cells.values())] for h, cells in table.items()])

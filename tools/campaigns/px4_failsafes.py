@@ -204,7 +204,7 @@ def _fly_once(case: Mapping[str, str], seed: int) -> Disturbed:
 
 def page(rows: Sequence[JudgedRow]) -> str:
     """Return a table with a row for every disturbance, with the time of each rule in each phase."""
-    heads = ("disturbance", "guard rules, s after it", "tilt °", "out of bounds m", "landing m/s",
+    heads = ("disturbance", "guard rules, s after it", "tilt °", "landing m/s",
              "uncontrolled")  # fmt: skip
     return markdown(heads, [[*key, *_cells(mine)] for key, mine in grouped(rows, "disturbance").items()])
 
@@ -218,7 +218,6 @@ def _cells(mine: Sequence[Disturbed]) -> list[str]:
     return [
         "<br>".join(f"`{rule}` {', '.join(seconds)}" for rule, seconds in times.items()) or "none",
         f"{max(flown.tilt_deg for flown in mine):.0f}",
-        f"{max(flown.outside_m for flown in mine):.2f}",
         f"{max(landings_m_s):.2f}" if landings_m_s else "-",
         "; ".join(problem for flown in mine for problem in flown.problems) or "no",
     ]

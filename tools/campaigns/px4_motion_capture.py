@@ -142,13 +142,13 @@ def page(rows: Sequence[JudgedRow]) -> str:
             [r for r in rows if r.values["part"] == "latency"], "delay_ms", "measured_ms"
         ).items()
     ]
-    flown = [r.row for r in rows]
+    flights = [r.row for r in rows]
     return "\n".join(
         [
             markdown(("mission", *heads), [[name, *cells.values()] for name, cells in worst.items()]),
             markdown(("latency ms", "measured ms", "completed", "estimate off m: median, most"), late),
-            f"{_completed(flown)} completed; {sum(bool(f.uncontrolled) for f in flown)} uncontrolled, "
-            f"{sum(bool(f.failsafe) for f in flown)} with a failsafe.",
+            f"{_completed(flights)} completed; {sum(bool(f.uncontrolled) for f in flights)} uncontrolled, "
+            f"{sum(bool(f.failsafe) for f in flights)} with a failsafe.",
         ]
     )
 

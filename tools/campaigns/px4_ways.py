@@ -66,19 +66,20 @@ def fly(point: Point, seed: int) -> FlownVariant:
     )
 
 
-_HEADS = ("mission", "variant", "completed", "plan followed", "planned s", "flown s", "tilt °")
+_HEADS = ("mission", "completed", "plans followed", "colliding: planned, flown s", "free: planned, flown s")
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a table with a row for every mission and variant."""
-    return markdown(_HEADS, [[*key, *_cells(mine)] for key, mine in grouped(rows, "flown", "way").items()])
+    """Return a row for every mission, with medians."""
+    table = []
+    for (name,), mine in grouped(rows, "flown").items():
+        by_way = grouped((r for r in rows if r.values["flown"] == name), "way")
+        times = [_times(by_way[way,]) for way in (COLLIDING, FREE)]
+        completed = sum(f.outcome == "completed" for f in mine)
+        followed = sum(bool(f.followed) for f in mine)
+        table.append([f"`{name}`", f"{completed} of {len(mine)}", f"{followed} of {len(mine)}", *times])
+    return markdown(_HEADS, table)
 
 
-def _cells(mine: Sequence[FlownVariant]) -> list[str]:
-    return [
-        f"{sum(f.outcome == 'completed' for f in mine)} of {len(mine)}",
-        f"{sum(bool(f.followed) for f in mine)} of {sum(f.followed is not None for f in mine)}",
-        f"{mine[0].planned_s:.2f}",
-        spread([f.flown_s for f in mine], 2),
-        f"{max(f.tilt_deg or 0.0 for f in mine):.0f}",
-    ]
+def _times(mine: Sequence[FlownVariant]) -> str:
+    return f"{mine[0].planned_s:.2f}, {spread([f.flown_s for f in mine], 2).partition(' ')[0]}"

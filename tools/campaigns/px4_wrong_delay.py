@@ -1,4 +1,4 @@
-"""Campaign: wrong delays of the motion capture on a real PX4 (docs/results/px4_versions.md)."""
+"""Campaign: wrong delays of the motion capture on a real PX4 (docs/results/px4_wrong_delay.md)."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def fly(point: Point, _: int) -> RoomFlown:
     return RoomFlown(result.saving_s, name, offered.record, record)
 
 
-_HEADS = ("vehicle", "visits", "walls", "tolerance m", "planned s", "offered", "completed", "uncontrolled",
+_HEADS = ("vehicle", "visits", "walls", "planned s", "offered", "completed", "uncontrolled",
           "saving s", "tilt °")  # fmt: skip
 
 
@@ -105,7 +105,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
     for r in rows:
         room, found = ROOMS[int(r.values["room"]) - 1], r.row
         planned = "-" if found.planned_saving_s is None else f"{found.planned_saving_s:+.2f}"
-        cells = [room.vehicle, str(len(room.visits)), str(len(room.walls)), str(room.within_m), planned]
+        cells = [room.vehicle, str(len(room.visits)), str(len(room.walls)), planned]
         records = [record for record in (found.by_plan, found.other) if record is not None]
         drawn = [record.drawn for record in records if record.drawn is not None]
         savings = [record.saving_s for record in records if record.saving_s is not None]

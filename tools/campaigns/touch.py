@@ -1,7 +1,7 @@
-"""Campaign: walls measured by touch: direction from one contact, survey, hits on plain GPS, and rooms.
+"""Campaign: walls measured by touch: direction from one contact, survey, and rooms (docs/results/touch.md).
 
-Every row (docs/results/touch.md) is a flight with all quantities drawn, or the flights in one room. Errors
-refer to the simulation's truth.
+The campaigns anchors and px4_touch also fly hits on plain GPS. A row is a flight with everything drawn, or
+the flights in one room. Errors refer to the simulation's truth.
 """
 
 from __future__ import annotations
@@ -351,7 +351,7 @@ def _directions(walls: Sequence[EstimatedWall]) -> str:
 
 def _hits(hits: Sequence[HitOnGps]) -> str:
     rows = []
-    for low, high in ((0.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 30.0)):
+    for low, high in ((0.0, _RECENT_S), (_RECENT_S, 30.0)):
         here = [h for h in hits if low <= h.age_s < high]
         if here:
             off, expected = rms([h.moved_m for h in here]), rms([h.expected_sd_m for h in here])

@@ -58,7 +58,7 @@ def fly(point: Point, seed: int) -> MovedWall:
     return MovedWall(verdict.outcome.value, rule, off[-1] if off else None, verdict.goal_miss_m)
 
 
-_HEADS = ("mission", "true wall offset", "completed without uncertainty", "with it", "uncertainty",
+_HEADS = ("mission", "true wall offset", "completed without a deviation", "with it", "deviation",
           "impact off m/s: median, most")  # fmt: skip
 
 
@@ -74,7 +74,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
             f"{away} m" if turned == "0" else f"{turned}°",
             _completed(without.get((flown, away, turned), [])),
             _completed(mine),
-            f"`{stated}`",
+            stated.partition(" ")[2] + (" m" if turned == "0" else "°"),
             median_and_most((flight.off_m_s for flight in good), 3),
         ]
         table.append(cells)

@@ -259,7 +259,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
                 shown or "-",
             ]
         )
-    heads = ("kind", "maps", "pairs flown", "problems", "within 10 % of the plan", "gain: optimum, flown")
+    heads = ("kind", "maps", "pairs flown", "problems", "time within 10 %", "gain: optimum, flown")
     return markdown(heads, table)
 
 

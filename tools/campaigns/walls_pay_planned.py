@@ -46,21 +46,23 @@ def plan(point: Point, _: int) -> PlannedMap:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return a row for every kind: the gain under each set of limits, and the effort of the search."""
+    """Return a row for every kind with the gain under each set of limits, and the effort of the search."""
     table = []
-    for (kind,), found in grouped(rows, "kind").items():
+    for (kind,) in grouped(rows, "kind"):
         by_limits = grouped((r for r in rows if r.values["kind"] == kind), "limits")
         cells = [_gains(by_limits.get((limits,), [])) for limits in MOTIONS]
-        effort = median_and_most((p.searched_s for p in found), 1)
-        table.append([kind, *cells, f"{max(p.gap_s for p in found):.2f}", effort])
-    heads = ("kind", *(f"limits `{limits}`" for limits in MOTIONS), "gap s", "search s: median, most")
-    return markdown(heads, table)
+        table.append([kind, *cells])
+    effort = median_and_most((r.row.searched_s for r in rows), 1)
+    gap_s = max(r.row.gap_s for r in rows)
+    heads = ("kind", *(f"limits `{limits}`" for limits in MOTIONS))
+    effort += f" s (median, most); the gap was at most {gap_s:.2f} s"
+    return f"{markdown(heads, table)}\nA search took {effort}."
 
 
 def _gains(planned: Sequence[PlannedMap]) -> str:
-    """Return the median gain with its range; with limited sight, the median ratio of the cruise speeds."""
+    """Return the median gain; with limited sight, the median ratio of the cruise speeds."""
     ratios = [p.cruise_ratio for p in planned if p.cruise_ratio is not None]
     gains = [100.0 * p.gain for p in planned if p.gain is not None]
     if ratios:
-        return f"cruise {statistics.median(ratios):.2f} times as fast"
-    return f"{statistics.median(gains):+.1f} % ({min(gains):.1f} to {max(gains):.1f})" if gains else "-"
+        return f"cruise × {statistics.median(ratios):.2f}"
+    return f"{statistics.median(gains):+.1f} %" if gains else "-"
