@@ -138,7 +138,7 @@ def _with_mode(heartbeat: bytes, mode: bytes) -> bytes:
     """Return the frame of a HEARTBEAT with another custom mode, the payload's first field."""
     body = heartbeat[1:_HEADER] + mode + heartbeat[_HEADER + 4 : -2]
     checksum = mavlink.x25crc(body + bytes([mavlink.MAVLink_heartbeat_message.crc_extra]))
-    return heartbeat[:1] + body + checksum.crc.to_bytes(2, "little")
+    return heartbeat[:1] + body + int(checksum.crc).to_bytes(2, "little")
 
 
 def frames(data: bytes) -> Iterator[tuple[int, int, bytes, bytes]]:
