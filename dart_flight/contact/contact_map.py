@@ -22,7 +22,8 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
-no elementary form. If a is not 0, nor does the time of release. A safeguarded Newton iteration finds both to
+no elementary form. If a is not 0, the time of release has no elementary form either. A safeguarded Newton
+iteration finds both to
 machine precision. If a = 0, this module uses the formulas of the table. These formulas are six times faster
 than the general solution in `oscillator.py`.
 
@@ -64,11 +65,11 @@ _NEAR_CRITICAL = 1e-8  # limit of |1 - zeta^2|
 
 
 class WallContact(NamedTuple, Generic[T]):
-    """Result of a contact; (lx, ly, lz) is its force, collision frame. `T` is an array or a float.
+    """Outcome of a contact with the force (lx, ly, lz), collision frame. `T` is an array or a float.
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
-        contact_time_s: time during which the force is above zero; infinite if the vehicle stays at the wall.
+        contact_time_s: duration of the force; infinite if the vehicle stays at the wall.
         penetration_m: largest distance of the vehicle's centre behind the plane of first touch.
         peak_normal_force_n: largest lx.
         peak_friction_force_n: largest |ly|.
@@ -90,7 +91,7 @@ class Drop(NamedTuple, Generic[T]):
     """Result of a drop; `T` is an array or a float.
 
     Attributes:
-        contact_time_s: time during which the force is above zero; infinite if the vehicle stays down.
+        contact_time_s: duration of the force; infinite if the vehicle stays down.
         max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
         peak_force_n: largest contact force lx.
         penetration_m: largest distance of the vehicle's centre below the plane of first touch.
@@ -108,11 +109,11 @@ class Drop(NamedTuple, Generic[T]):
     onset_speed_m_s: T
 
 
-# --- without other acceleration: every result but the friction peak is linear in the approach speed --------
+# --- without other acceleration: all results except the friction peak are linear in the speed ------------
 
 
 class _Shape(NamedTuple):
-    """Quantities that depend on coefficients and mass alone, one value per set."""
+    """Quantities that depend on coefficients and mass but not on speed, one value per coefficient set."""
 
     restitution: Array
     contact_time: Array
@@ -125,8 +126,8 @@ class _Shape(NamedTuple):
     zeta: Array
     w: Array  # |1 - zeta^2|^(1/2), or 1 near critical damping, where other formulas hold
     late_decay: Array  # exp(-zeta tau) at the force peak of the lcp solution
-    scale: Array  # speed factor: a `touch` contact is the late part of a faster `lcp` contact
-    entry: Array  # the largest possible r = phi'/phi, at the onset (infinite for lcp)
+    scale: Array  # a `touch` contact is the end of an `lcp` contact that is faster by this factor
+    entry: Array  # r = phi'/phi at the onset, its largest value; infinite for lcp
 
 
 def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
@@ -168,8 +169,8 @@ def _shape(c: CoefficientArrays, mass: Array, onset: Onset) -> _Shape:
 def _friction_peak(mu_speed: Array, s: _Shape) -> Array:
     """Return the largest phi exp(-mu V (1 + xi')) of a contact, to machine precision.
 
-    The maximum is at r = c phi, with r = phi'/phi and c = mu V. The equation is solved for r, because r falls
-    monotonically in time, and phi and xi' are elementary functions of r:
+    The maximum is at r = c phi, with r = phi'/phi and c = mu V. The unknown is r, which falls monotonically
+    in time. phi and xi' are elementary functions of r:
         tau = acot((zeta + r)/w)/w,   Q = 1 + 2 zeta r + r^2,   phi = exp(-zeta tau)/sqrt(Q),
         xi' = -phi (r + 2 zeta).
     Newton's method solves r Q = c sqrt(Q) exp(-zeta tau) at any damping. A `touch` contact has the same
@@ -297,7 +298,7 @@ def _validate(c: CoefficientArrays, mass: Array, *inputs: Array) -> None:
 
 
 class _Batch:
-    """Inputs of any shapes as flat arrays of one length, divided into chunks."""
+    """The inputs of a map, broadcast to one shape, flattened and divided into chunks."""
 
     def __init__(
         self, c: CoefficientArrays, mass: Array, rows: Rows | None, inputs: tuple[Array, ...]
@@ -316,14 +317,14 @@ class _Batch:
 
     @property
     def is_table(self) -> bool:
-        """Whether collisions may share a set; each set's quantities (`_Shape`) are then computed once."""
+        """Whether collisions may share a coefficient set, so that its `_Shape` is computed only once."""
         return self.rows is not None or self.mass.size == 1
 
     def parts(self) -> list[slice]:
         return [slice(i, min(i + _CHUNK, self.size)) for i in range(0, self.size, _CHUNK)]
 
     def coefficients(self, part: slice) -> tuple[CoefficientArrays, Array]:
-        """Return coefficients and masses (kg): one per impact, or one for all."""
+        """Return the coefficient sets and masses (kg) of a chunk: one per impact, or one for all impacts."""
         if self.rows is not None:
             rows = self.rows[part]
             return self.table.select(rows), self.mass[rows]
@@ -345,8 +346,8 @@ def contact_map(
     """Predict wall hits (paper, Sec. IV-B) in closed form; the results have the broadcast shape and no NaN.
 
     Args:
-        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). If
-            `rows` is given, a table of shape (n,).
+        coefficients: one set, or one set per collision (any shape that broadcasts with the velocities). With
+            `rows`, they are a table of shape (n,), which `rows` indexes.
         mass_kg: broadcasts with `coefficients`.
         normal_m_s: velocity along the outward normal at the onset, collision frame. If the vehicle does not
             approach, it does not touch the wall: the velocity is unchanged, and force and contact time are 0.

@@ -13,10 +13,10 @@ guards. The *share* is this stiffness divided by k. The share is fixed at the fi
 while the bar is pressed. The depth stays continuous when the cylinder's axis enters the outline. The stored
 energy, 1/2 share k x^2, therefore depends on the depth alone, and sliding adds no energy.
 
-A surface presses only points that reach the surface from outside. Other points would gain energy. A guard may
-move past the wall's end and then behind the surface. This guard touches nothing until it is in front of the
-surface again. While the surface presses one of a bar's guards, this guard carries the load, and the bar
-touches no edge.
+A surface presses only points that have reached it from outside, because other points would gain energy. A
+guard may move past the wall's end and then behind the surface. This guard touches nothing until it is in
+front of the surface again. While the surface presses one of a bar's guards, this guard carries the load, and
+the bar touches no edge.
 
 Several walls share these rules. A guard that entered a partition through one face cannot be pressed by the
 other face, even if its depth exceeds the partition's thickness. A bar that rests on one wall touches no edge
@@ -42,7 +42,7 @@ from dart_flight.contact.propeller_guards import (
     WallLoad,
 )
 
-EDGE_RADIUS_M: Final = 0.01  # radius of an edge, like a board's rounded edge; a sharp edge has no normal
+EDGE_RADIUS_M: Final = 0.01  # edges are rounded like a board's, because a sharp edge has no normal
 _DOWN: Final = (0.0, 0.0, 1.0)  # NED
 
 
@@ -146,7 +146,7 @@ class CylinderContact:
 
     Attributes:
         coefficients: coefficients for the whole side of the vehicle; None if not set.
-        share: share of k and f, fixed at the touch; None if the outline is not pressed.
+        share: fraction of k and f that acts, fixed at the first touch; None if the outline is not pressed.
         stood_in: whether the outline is inside the cylinder without being pressed. The reason is that a guard
             carried the load first, or that the outline did not come from outside.
     """
@@ -243,11 +243,11 @@ class WallWithEnds:
 
     @property
     def coefficients(self) -> Coefficients | None:
-        """Coefficients of the pressed edge, or None."""
+        """Coefficients of the edge that presses the outline, or None if neither edge does."""
         return next((edge.coefficients for edge in self.edges if edge.share is not None), None)
 
     def displaced(self, away_m: float) -> WallWithEnds:
-        """Return the wall displaced along its normal, without contact state."""
+        """Return a copy of the wall, displaced along its normal and without the contact state."""
         p, n = self.plane.point, self.plane.normal
         point = (p[0] + away_m * n[0], p[1] + away_m * n[1], p[2] + away_m * n[2])
         return WallWithEnds(self.plane._replace(point=point), self._guards, self._edge_radius_m)
@@ -298,7 +298,7 @@ class WallWithEnds:
             yield edge, nearest_point(self._corners, q, position, edge.cylinder)
 
     def _note_side(self, i: int, height: float, along: float, held: Callable[[int], bool]) -> None:
-        """Update `beside` for a guard. A guard that another face holds keeps its place in `beside`."""
+        """Update `beside` for a guard; a guard that another face holds stays in `beside`."""
         if height > 0.0:
             if i in self.beside and not held(i):
                 self.beside.discard(i)
@@ -348,7 +348,7 @@ class WallWithEnds:
             edge.settle(near, force)
             if force > 0.0:
                 points.append(edge_point)
-                pressed |= numbers  # a bar wider than the wall rests on the first edge only
+                pressed |= numbers  # a bar that is wider than the wall rests on the first edge only
                 loaded.append((near, force))
         self.bearing = pressed
         for near, force in loaded:

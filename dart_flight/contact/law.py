@@ -19,7 +19,7 @@ from dart_flight.config.vehicle import Coefficients, VehicleConfig
 
 
 class Onset(StrEnum):
-    """Rule for the beginning of a contact.
+    """Rule that determines when the force of a contact begins.
 
     `lcp` is the complementarity condition as published: the force begins when k x + f vx < 0, slightly before
     the vehicle reaches the plane. `touch` also requires x < 0.

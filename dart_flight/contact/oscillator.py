@@ -51,7 +51,7 @@ class NormalMotion(NamedTuple):
 
 
 class Oscillation(NamedTuple):
-    """A contact in dimensionless units: phi - alpha is the force, xi' the normal velocity (see the module).
+    """A contact in dimensionless units: force phi - alpha, normal velocity xi' (see the module).
 
     V is |v| + |a|/omega. V is 0 only if the vehicle is at rest and nothing pushes it.
     """
@@ -94,7 +94,7 @@ def begin_contact(
     alpha = acceleration / (safe * omega)
     phi0 = alpha + (2.0 * zeta * u if onset is Onset.TOUCH else 0.0)
     slope0 = u - 2.0 * zeta * phi0
-    # A strong outward acceleration reverses an approach with rule `lcp` before the first force.
+    # With the rule `lcp`, a strong outward acceleration can reverse the approach before the first force.
     starts = (acceleration < 0.0) | (phi0 > alpha) | (slope0 > 0.0)
     hits = (normal <= 0.0) & (speed > 0.0) & starts
     # An input without a hit gets the events of an ordinary hit, so that all events are defined.
@@ -189,10 +189,10 @@ def falling_root(
 
 
 class ContactTimes(NamedTuple):
-    """Event times of a contact, in 1/omega."""
+    """Times of a contact's events since the onset, in units of 1/omega."""
 
     peak: Array  # largest force
-    turn: Array  # time at which lx equals -m a; if a points into the wall, the outward speed is largest then
+    turn: Array  # lx falls to -m a, and with an `a` into the wall the outward speed is largest
     end: Array  # time at which the force returns to zero; inf if the force never does
 
 
@@ -201,7 +201,7 @@ def find_contact_times(c: Oscillation) -> ContactTimes:
     falls = (c.slope0 < 0.0) | ((c.slope0 == 0.0) & (c.phi0 > 0.0))
     peak = np.where(falls, 0.0, first_zero(c, c.slope0, curve0))
     phi, slope, _ = motion(c, peak)
-    slope = np.where(falls, slope, 0.0)  # rounding must not move the peak to the other side of the onset
+    slope = np.where(falls, slope, 0.0)  # remove rounding errors, which could put the peak before the onset
     turn = peak + first_zero(c, phi, slope)
     half = np.where(c.w2 > 0.0, math.pi / np.sqrt(np.where(c.w2 > 0.0, c.w2, 1.0)), math.inf)
     trough = peak + np.where(falls, first_zero(c, slope, -(2.0 * c.zeta * slope + phi)), half)

@@ -27,14 +27,14 @@ from dart_flight.base.geometry import Quaternion, Vec3, rotate_back
 from dart_flight.config.vehicle import BodyModel, Coefficients, ContactBody
 from dart_flight.contact.law import Onset, normal_force
 
-NEAR_M: Final = 0.08  # a contact below 5 m/s begins within this distance
+NEAR_M: Final = 0.08  # below 5 m/s, no guard farther away from a wall is in contact
 
 
 class PropellerGuard(NamedTuple):
     """One guard point, body FRD, metres from the centre of mass."""
 
     at: Vec3
-    friction_at: Vec3  # point at which the guard's friction acts: `at` with a reduced horizontal lever
+    friction_at: Vec3  # point at which friction acts: `at`, moved horizontally towards the centre
 
 
 class Plane(NamedTuple):

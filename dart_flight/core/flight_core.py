@@ -4,7 +4,7 @@
     for output in core.step(sample): ...
 
 Data flows in one direction: *sense* converts the input to estimates, *mission* converts these to a proposal,
-and *guard* decides. No part changes another part's data; this module passes the results on. `step` never
+and *guard* decides. No part changes the data of another. This module passes the results on. `step` never
 raises. After an exception in the mission's code, the guard lands and reports the exception.
 """
 
@@ -42,7 +42,7 @@ class FlightCore:
         self._senses = Senses(mission.vehicle)
         self._executive = Executive(mission) if mission.standoff_m is None else Rehearsal(mission)
         self._guard = Guard(mission, rules)
-        self._expected = ExpectedContact()  # set by the mission; the detector uses it in the next step
+        self._expected = ExpectedContact()  # the mission's expected contact, for the detector's next step
         self.end: MissionEnd | None = None
 
     @property
@@ -63,7 +63,7 @@ class FlightCore:
         """Pace at which the shell should pass the next inputs."""
         senses, phase = self._senses, self._executive.progress.phase
         if self._guard.telemetry_late:
-            return Pace.BATCHED  # a backlog of old samples empties sooner in batches
+            return Pace.BATCHED  # old samples are waiting, and batches process them sooner
         if senses.detector.in_contact:
             return Pace.IMMEDIATE
         return pace_near_walls(self.mission, senses.state, phase)

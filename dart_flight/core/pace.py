@@ -15,8 +15,8 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.wall_uncertainty import early_m, overrun_m
 from dart_flight.core.sense.state import FlightState
 
-BATCH_S: Final = 0.02  # the tick's period; a quarter of the time without IMU samples that triggers the guard
-_LEAD_S: Final = 0.2  # batching ends at this time before a possible impact, ten times a batch's delay
+BATCH_S: Final = 0.02  # the tick's period; the guard acts after four times this time without IMU samples
+_LEAD_S: Final = 0.2  # batching ends this long before a possible impact: ten times a batch's delay
 
 
 class Pace(Enum):

@@ -34,8 +34,8 @@ from dart_flight.planning.task import Task
 Codes = NDArray[np.int8]
 
 MIN_REBOUND_M_S = 0.05
-# A wall counts as touched if the vehicle would reach the plane within this time, because forces may begin
-# before the plane (`lcp`).
+# A wall counts as touched if the vehicle would reach the plane within this time. With the onset rule `lcp`,
+# the force begins before the plane.
 _TOUCH_S = 0.01
 _THICK_M = 0.5  # a vehicle farther behind the plane is on the wall's other side
 _LOCK_POLL_S = 0.02
@@ -72,7 +72,7 @@ CODE = {reason: i + 1 for i, reason in enumerate(REFUSALS)}
 class Constraints:
     """The tests of one task, vectorised over candidates.
 
-    The tests skip the reasons in `ignored`, so that a caller can find the reasons that prevent a plan.
+    The tests skip the reasons in `ignored`. A caller can thereby find out which reasons prevent a plan.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Constraints:
         self.most_acceleration = GRAVITY_M_S2 * math.tan(math.radians(vehicle.px4.mpc_tiltmax_air))
         lock = vehicle.lock
         self.lock_s = lock.relaxation_s + lock.switch_time_s + _LOCK_POLL_S if lock else 0.0
-        self._corner_m = vehicle.airframe.corner_m  # a corner of the guards may touch a post
+        self._corner_m = vehicle.airframe.corner_m  # reach of the guards' corners, which may touch a post
         self._reach = _reach_tables(task)
 
     def mark(
@@ -160,7 +160,7 @@ class Constraints:
         bad &= np.arange(w.times.size) < until[:, None]
         codes = np.zeros(until.size, dtype=np.int8)
         rows = np.flatnonzero(bad.any(axis=1))
-        if rows.size:  # few candidates fail, so only these are classified
+        if rows.size:  # find the reason only for the few candidates that fail
             part = GridWindow(w.times, *(v[rows] for v in (w.x, w.y, w.vx, w.vy)))
             codes[rows] = self._classify(part, until[rows], obstacles, posts, begins)
         return codes
@@ -206,7 +206,7 @@ class Constraints:
         return codes
 
     def to_goal(self, x: Array, y: Array, goal: Vec2) -> Codes:
-        """Refuse if a wall is between the closest approach (x, y) and the goal."""
+        """Refuse each candidate that has a wall between its closest approach (x, y) and the goal."""
         codes = np.zeros(x.shape, dtype=np.int8)
         closest: tuple[Number, Number] = (x, y)
         for wall in self.walls:
@@ -241,8 +241,8 @@ class Constraints:
     ) -> NDArray[np.bool_]:
         """Return whether the executive would abort the approach because the lock is still moving.
 
-        `ready` contains the states when the lock has settled; `after_s` is the time from the release to the
-        impact.
+        `ready` contains the states at the time at which the lock has settled; `after_s` is the time from the
+        release to the impact.
         """
         late = after_s < self.lock_s
         rows = np.flatnonzero(~late & ~self.lock_in_time(ready, wall))
@@ -269,7 +269,7 @@ def leads_behind(wall: Wall, place: tuple[Number, Number], target: tuple[Number,
 
 
 def _outside(limits: tuple[float, float], x: NDArray[Any], v: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return whether a coordinate is outside its limits, or cannot stop within them."""
+    """Return whether the vehicle is outside the limits of a coordinate, or cannot stop within them."""
     stop = x + np.float32(STOP_TIME_S) * v
     outside: NDArray[np.bool_] = np.minimum(x, stop) < np.float32(limits[0])
     outside |= np.maximum(x, stop) > np.float32(limits[1])
@@ -313,8 +313,8 @@ def _reach_tables(task: Task) -> tuple[Array, Array, Array]:
 
     The braking distance is proportional to the sum of the speed and of `ATTITUDE_LAG_S` times the magnitude
     of the acceleration. The tables give the braking distance at which this sum is 1 m/s. The first table
-    holds for an acceleration towards the wall, the second for an acceleration away from the wall. A third
-    array contains, for each entry, the speed's fraction of this sum.
+    holds for an acceleration towards the wall, the second for an acceleration away from the wall. Both tables
+    are functions of the speed's fraction of this sum, which the third array lists.
     """
     knots = np.linspace(0.0, 1.0, 41)
     far = 100.0

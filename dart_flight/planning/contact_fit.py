@@ -57,26 +57,26 @@ from dart_flight.core.sense.contact_recorder import undecided
 
 FIT_US: Final = 50_000  # simulated duration of a fit (docs/contact_fit.md)
 CONTACT_SCATTER: Final = 0.05  # relative scatter of k, f, mu and nu between contacts with the same wall
-SURE_LOG_ODDS: Final = 5.3  # odds of 200 to 1 decide a mode; 1 mode of 1000 is wrong (docs/contact_fit.md)
-_FEWEST: Final = 4  # readings in contact that a fit needs
+SURE_LOG_ODDS: Final = 5.3  # a mode is decided at odds of 200 to 1; 1 of 1000 is wrong (docs/contact_fit.md)
+_FEWEST: Final = 4  # a fit needs at least this number of readings in contact
 _SLOWEST_M_S: Final = 0.02
 _POSITION_M: Final = 0.01  # standard deviation of PX4's position in the walls' frame
-_PLACE_M: Final = 0.1  # minimum prior deviation of a wall's position; wide, because the force locates it
+_PLACE_M: Final = 0.1  # least prior deviation of a wall's position; the force locates the wall precisely
 _WALL_RAD: Final = math.radians(4.0)  # minimum prior deviation of a planned wall's direction
-_UNPLANNED_RAD: Final = math.radians(15.0)  # `_WALL_RAD` for an unplanned wall; the force shows its direction
+_UNPLANNED_RAD: Final = math.radians(15.0)  # of an unplanned wall, about the force's direction
 _UNKNOWN_SPREAD: Final = 0.8  # relative deviation of the coefficients if the material is unknown
-_KNOWN_MATERIAL: Final = 6.0  # a larger sum of three squared deviations means an unknown material
+_KNOWN_MATERIAL: Final = 6.0  # a material matches if its squared deviations in k, f and mu have a smaller sum
 _MAX_MISFIT: Final = 2.0  # the law does not fit if the normalised residuals have a larger mean square
 _VELOCITY_M_S: Final = 0.04  # standard deviation of PX4's velocity at rest
-_VELOCITY_SHARE: Final = 0.02  # fraction of the speed, added to `_VELOCITY_M_S`
-_VERTICAL_N: Final = 1.0  # deviation of the vertical force's mean over a contact
+_VELOCITY_SHARE: Final = 0.02  # increase of `_VELOCITY_M_S` per speed
+_VERTICAL_N: Final = 1.0  # standard deviation of a contact's mean vertical force
 LEVER_SHARE: Final = 0.3  # prior mean of b, the lever arm of the friction divided by d
 _LEVER_SD: Final = 0.3  # prior standard deviation of b: both 0 and twice the mean are plausible
 # Errors of the model, relative to the largest force, to the largest friction, and to the largest torque.
 _MODEL_ERROR: Final = 0.015
 _FRICTION_ERROR: Final = 0.03
-_TORQUE_ERROR: Final = 0.05  # larger than for independent errors, because the ticks' errors are correlated
-_SURE_SIGMA: Final = 5.0  # without a larger sum of the readings, in standard deviations, there was no contact
+_TORQUE_ERROR: Final = 0.05  # includes that the errors of neighbouring ticks are correlated
+_SURE_SIGMA: Final = 5.0  # a contact's readings sum to more than this many standard deviations
 _MIN_FACTOR: Final = 0.1  # lower bound of a coefficient relative to its prior
 _MAX_ANGLE_RAD: Final = 0.6
 # Angles of incidence from which the fits start.
@@ -84,15 +84,15 @@ _STARTS_RAD = np.radians([-19, -14, -10, -7, -4, -1.5, 0, 1.5, 4, 7, 10, 14, 19]
 _SCREENED: Final = 3  # after so many steps, only the best starts are kept
 _KEPT: Final = 4
 _STEPS: Final = 10
-_SETTLED: Final = 1e-2  # the search ends when the reduction of the cost is smaller
+_SETTLED: Final = 1e-2  # the search ends when a step reduces the cost by less
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # damping factors, all tried at every step
 _DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
 _SUBSTEPS: Final = 2  # integration steps per tick
-_FINE: Final = 4  # integration steps per tick for the torque's peak
+_FINE: Final = 4  # integration steps per tick when the torque's peak is computed
 _MAX_TICKS: Final = 36  # if there are more ticks, neighbouring ticks are merged
 _QUADRATIC = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
-_NEAR_TOP: Final = 0.6  # samples above this fraction of the torque's peak determine the peak's size
-_SURE_TORQUE: Final = 4.0  # the fit gives the peak's shape only for a larger torque, relative to the noise
+_NEAR_TOP: Final = 0.6  # samples above this fraction of the modelled peak determine the torque's size
+_SURE_TORQUE: Final = 4.0  # a torque below this multiple of its noise does not use the model's shape
 _QUARTER: Final = 0.5 * math.pi
 _K, _F, _X, _V, _D, _MU, _W, _B = range(8)  # k, f, place, velocity, angle, mu, tangential velocity, lever
 _FACTORS = [_K, _F, _MU]
@@ -101,7 +101,7 @@ _ESTIMATED = ("k_n_per_m", "f_ns_per_m", "mu_s_per_m", "nu_n", "k_sd", "f_sd", "
 
 
 class Belief(NamedTuple):
-    """Coefficients of a wall in a mode (`Coefficients`), each with its relative standard deviation."""
+    """Estimated coefficients of a wall in one mode, each with its relative standard deviation."""
 
     k: float
     f: float
@@ -125,7 +125,7 @@ class Ticks(NamedTuple):
             the left.
         torque: torque about the vertical, N m; a positive torque turns the vehicle to the right.
         samples: number of samples in the tick.
-        bound: whether the reading is at full scale; the true force is then larger.
+        bound: whether the reading is at full scale, so that the true force may be larger.
     """
 
     h: Array
@@ -179,7 +179,7 @@ class ContactReadings(NamedTuple):
 
 
 class Hypothesis(NamedTuple):
-    """A mode fitted to a contact.
+    """The result of fitting the law of one mode to a contact.
 
     Attributes:
         evidence: natural logarithm of the probability of the readings in this mode. A constant, equal for
@@ -485,7 +485,7 @@ class ContactFitter:
         )
         if wall is None:
             return body, None
-        # If the readings weakly contradict the lock's mode, do not learn from them.
+        # If the readings contradict the lock's mode, but too weakly to decide, do not learn from them.
         if mode is likely:
             self._beliefs[wall.name, mode] = found.belief
         c = fit.contact
@@ -672,5 +672,5 @@ def _moved(theta: Array, step: Array) -> Array:
     old = theta[_FACTORS]
     moved[_FACTORS] = np.clip(moved[_FACTORS], np.maximum(0.5 * old, _MIN_FACTOR), 2.0 * old)
     moved[_D] = np.clip(moved[_D], -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD)
-    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # 0: at the centre of mass, 1: at the guards
+    moved[_B] = np.clip(moved[_B], 0.0, 1.0)  # the lever is between the centre of mass (0) and the guards (1)
     return moved

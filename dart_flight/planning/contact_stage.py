@@ -55,13 +55,13 @@ _MIN_AFTER_PEAK_S = 0.008  # minimum delay, because the detector needs two sampl
 
 
 class _Quadrature(NamedTuple):
-    """Gauss-Legendre rule on [0, 1] that also integrates from 0 to each of its nodes."""
+    """Gauss-Legendre rule on [0, 1], with weights for the integrals from 0 to each of its nodes and to 1."""
 
     nodes: Array  # (J,)
     weights: Array  # (J,)
     sub_nodes: Array  # (L,)
     sub_weights: Array  # (L,)
-    upper: Array  # (J + 1,): the nodes and 1
+    upper: Array  # (J + 1,): upper ends of the integrals, at the nodes and at 1
     lagrange: Array  # (J + 1, L, J): Lagrange polynomials at upper * sub_nodes
     integral: Array  # (J + 1, J)
 
@@ -105,7 +105,7 @@ def expm(matrix: Array) -> Array:
 
 
 class NormalOut(NamedTuple):
-    """Motion along the wall's normal: position at the onset, peak force, and state at the release.
+    """Result of a contact along the wall's normal: position at the onset, peak force, state at the release.
 
     Positions are distances from the wall's plane, metres.
     """
@@ -120,7 +120,7 @@ class NormalOut(NamedTuple):
 
 
 class TangentialOut(NamedTuple):
-    """Motion along the wall: state at the release relative to the onset, and signed friction force."""
+    """Result of a contact along the wall: signed friction, and the state's change from onset to release."""
 
     release_m: Array
     velocity: Array
@@ -131,7 +131,7 @@ class TangentialOut(NamedTuple):
 
 
 class TangentialShape(NamedTuple):
-    """The linear response of the motion along the wall to four inputs, one array element per normal speed.
+    """Linear response of the motion along the wall to four inputs; one array element per normal speed.
 
     The inputs are the velocity v, acceleration a and integral i at the onset, and the recovery setpoint s.
     The last letter of a field's name states the input. The input of `distance_to_peak` and `distance` is v.
@@ -190,7 +190,7 @@ class ContactStage:
         flat = c.reshape(-1, 1)
         slip = np.exp(-flat * self._depths)  # u at the nodes per unit of u at the onset
         slip_end = np.exp(-flat * self._depth_end)
-        kept = np.exp(-flat * (self._depth_end - self._depths))  # fraction of a push that is left at T
+        kept = np.exp(-flat * (self._depth_end - self._depths))  # part of an added speed that is left at T
         values = slip @ self._by_speed.T
         push = kept @ self._push
         push_v = np.einsum("nj,nj->n", kept, slip @ self._push_speed.T)
@@ -299,7 +299,7 @@ def _prepare_normal(stage: ContactStage, loop: PositionLoop, drag: float) -> Non
 
 
 class _Phases:
-    """Quadrature over a contact's two phases: before and after the recovery setpoint.
+    """Quadrature over the two phases of a contact, which the recovery setpoint separates.
 
     Each phase has J nodes. The integral of a function f is a matrix times f's values at all 2 J nodes.
     """
@@ -347,7 +347,7 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
     whole = phases.integral(0.0)
     fading = phases.integral(decay) / tau
     place = whole[:count]
-    after = (np.arange(count) >= _NODES).astype(float)  # the nodes after the recovery setpoint
+    after = (np.arange(count) >= _NODES).astype(float)  # 1 at the nodes after the recovery setpoint
     # Per unit of u at the nodes: distance, integral, acceleration.
     error = after[:, None] * (kp * place + np.eye(count))
     to_integral = -ki * whole @ error
@@ -366,6 +366,6 @@ def _prepare_tangential(stage: ContactStage, loop: PositionLoop, course: Oscilla
     pushed[:, 0] += faded
     stage._push = weights[:, None] * pushed[:count]
     stage._ends = np.stack([pushed[count], integral[count]])
-    omega = float(course.omega)  # the course begins at 1 m/s, so its velocity is xi'
+    omega = float(course.omega)  # the approach speed of `course` is 1 m/s, so its velocity equals xi'
     stage._depths = course.at(omega * times).velocity_m_s + 1.0
     stage._depth_end = float(course.at(np.asarray(omega * stage.duration_s)).velocity_m_s) + 1.0

@@ -25,8 +25,8 @@ FLOWN_UP_TO_M_S = 3.0
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
-# arms; distance above. Guards below the centre of mass are worse, because impact and setpoint then tilt the
-# vehicle in the same direction.
+# arms; distance above. If the guards are below the centre of mass, impact and setpoint tilt the vehicle in
+# the same direction, so the limit is lower.
 HEIGHTS_FLOWN_M = (
     (0.5, 0.060, 0.060, 0.05),
     (1.0, 0.060, 0.060, 0.05),
@@ -35,10 +35,10 @@ HEIGHTS_FLOWN_M = (
     (2.5, 0.012, 0.007, 0.04),
     (3.0, 0.005, 0.0, 0.03),
 )
-HEIGHT_SURE_SD = 2.0  # standard deviations of the guards' height that `check` allows for
+HEIGHT_SURE_SD = 2.0  # `check` allows for a height error of this many standard deviations
 CLIP_SHARE = 0.95  # usable fraction of full scale; the rest is a margin for tilt, noise and friction
-# Above this fraction of full scale, PX4 loses its position. The position was wrong by 0.16 to 0.26 m at 254 N
-# (1.25), and by 1.3 m at 296 N (1.45).
+# Above this fraction of full scale, PX4 loses its position. At 254 N (fraction 1.25) the position was wrong
+# by 0.16 to 0.26 m, and at 296 N (1.45) by 1.3 m.
 LOST_SHARE = 1.3
 
 
@@ -132,14 +132,14 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
 
 
 def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
-    """Return the guards' largest distances below and above the centre of mass with a recovery in flight."""
+    """Return how far below and above the centre of mass the guards may be for a proven recovery, metres."""
     speeds, rigid, flexible, above = zip(*HEIGHTS_FLOWN_M, strict=True)
     below = rigid if mode is Mode.RIGID else flexible
     return float(np.interp(normal_m_s, speeds, below)), float(np.interp(normal_m_s, speeds, above))
 
 
 def is_leaned(mission: Mission, collision: Collision) -> bool:
-    """Return whether the vehicle tilts to compensate for the guards' height, measured by an earlier touch.
+    """Return whether the vehicle tilts to compensate for the guards' height that an earlier touch measured.
 
     The vehicle tilts only before an impact at the end of a mission's trajectory (docs/replanning.md).
     """

@@ -32,10 +32,10 @@ Array32 = NDArray[np.float32]
 Rows = NDArray[np.intp]
 
 GRID_S = 0.05
-WINDOW = 20  # grid steps evaluated together; most events are within the first second
-_ORDER = 11  # order of the series; after one grid step, the next term is at most 1e-13 of the position
+WINDOW = 20  # number of grid steps evaluated together: 1 s, in which most events occur
+_ORDER = 11  # order of the series; over a grid step, the next term is below 1e-13 of the position
 _NEWTON_STEPS = 6
-_SINGLE_M = 1e-4  # tolerance, well above the rounding of single precision
+_SINGLE_M = 1e-4  # tolerance for the rounding of single precision, which is far smaller
 
 
 class SetpointResponse(NamedTuple):
@@ -96,7 +96,7 @@ class _Axis:
         self.at_grid = powers[: count + 1]  # (count + 1, 4, 4)
         self.position = np.ascontiguousarray(self.at_grid[:, 0, :].T, dtype=np.float32)  # (4, count + 1)
         self.velocity = np.ascontiguousarray(self.at_grid[:, 1, :].T, dtype=np.float32)
-        # From each grid point, the largest remaining contribution of each initial state to the position.
+        # Largest contribution of each initial state to the position, at any time from each grid point on.
         self.reach = np.maximum.accumulate(np.abs(self.at_grid[::-1, 0, :]), axis=0)[::-1]  # (count + 1, 4)
         rows = [np.eye(4)]
         for n in range(1, _ORDER + 1):
@@ -169,7 +169,7 @@ class Grid(NamedTuple):
         )
 
     def stays_before(self, normal: tuple[float, float], offset: float, index: int) -> NDArray[np.bool_]:
-        """Return which candidates stay in front of the plane normal . p = offset after a grid point."""
+        """Return which candidates stay in front of the plane normal . p = offset from a grid point on."""
         ax, ay = self.flight.axes
         nearest = normal[0] * self.goal_x[:, 0] + normal[1] * self.goal_y[:, 0] - offset
         if normal[0]:
@@ -180,7 +180,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series in time, each about its candidate's own grid point."""
+    """Solutions as power series in time, about one grid point for each candidate."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -233,7 +233,7 @@ def closest(
 ) -> tuple[Array, Array, tuple[Array, Array, Array, Array]]:
     """Return time, distance and state (x, y, vx, vy) of each candidate's closest approach to the goal.
 
-    All are (n,); times are seconds from one grid point per candidate.
+    The results have the shape (n,). A time counts from the candidate's grid point, in seconds.
 
     Args:
         x, y: power series (order + 1, n) of the position about the grid point.

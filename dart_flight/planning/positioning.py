@@ -12,7 +12,7 @@ PLAIN_GPS = (
 
 
 def effective_source(mission: Mission, source: PositionSource) -> PositionSource:
-    """Return the effective position source: plain GPS counts as anchored if contacts correct the frame."""
+    """Return the position source, with plain GPS replaced by `anchored` if contacts correct the frame."""
     return PositionSource.ANCHORED if source is PositionSource.PLAIN and mission.is_anchored else source
 
 

@@ -25,12 +25,12 @@ from dart_flight.core.mission.trajectories import Trajectory
 from dart_flight.planning.polynomials import derivative, quintic
 
 _SAMPLES = 24
-_STEP_S = 0.03  # step between the possible starting times on the planned trajectory
+_STEP_S = 0.03  # step between the times on the planned trajectory at which candidates begin
 _SLOWER = (1.0, 1.05, 1.1, 1.2, 1.35, 1.6, 2.0)
 _LEAST_S = 0.2  # shortest trajectory
-_SAME_S = 1e-6  # shorter pieces are dropped
-SETTLED_S = 0.2  # the trajectory follows the plan for this time before a wall; longer than the attitude's lag
-_SETTLED_SHARE = 0.3  # largest fraction of a trajectory for this part
+_SAME_S = 1e-6  # a shorter piece is omitted
+SETTLED_S = 0.2  # last part before a wall, without correction; longer than the attitude's lag
+_SETTLED_SHARE = 0.3  # the last part is at most this fraction of a trajectory
 
 
 class RejoiningTrajectories(NamedTuple):
@@ -40,7 +40,7 @@ class RejoiningTrajectories(NamedTuple):
         shares: (k,) sampling times, as fractions of each duration.
         from_s: (n,) time on the planned trajectory at which the candidate begins.
         slower: (n,) factor, 1 or larger, by which the candidate slows down the planned trajectory.
-        duration_s: (n,) duration of the candidate.
+        duration_s: (n,) duration of the candidate, s.
         settled_s: (n,) time from the candidate's beginning to the end of the correction.
         added: (2, n, 6) coefficients of the added polynomials before `settled_s`, constant term first.
         kept: (2, n, 6) coefficients of the added polynomials after `settled_s`, as functions of the time

@@ -48,31 +48,31 @@ from dart_flight.planning.rejoining import SETTLED_S, RejoiningTrajectories, can
 from dart_flight.planning.task import MissionTask, drag_along
 
 _DURATIONS_S = np.arange(0.3, 4.01, 0.05)
-_ALONG_M = np.arange(-0.8, 0.81, 0.05)  # impact points along the wall, relative to the planned point
-_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # fractions of the planned velocity, tried in this order
-# Times of straight flight before the wall, in which the attitude settles. The second is for small rooms.
+_ALONG_M = np.arange(-0.8, 0.81, 0.05)  # candidate points of impact, relative to the planned point
+_SPEED_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)  # factors on the planned velocity, tried in this order
+# Options for the straight flight in which the attitude settles, s; the shorter one fits small rooms.
 _STRAIGHT_S = (0.3, 0.1)
 _SAMPLES = 24  # samples of a trajectory at which the constraints are checked
-_LAST = 3  # number of samples that count as a trajectory's end
+_LAST = 3  # the last samples, at which the jerk towards the wall is evaluated
 _PUSH_SAMPLES = 12  # samples at which acceleration and jerk are checked, before the other constraints
 # Usable fraction of PX4's tilt limit; the rest is for wind, errors and the position loop's corrections.
 _TILT_SHARE = 0.6
 _JERK_M_S3 = 25.0  # jerk limit: about 150 degrees of tilt per second, which the attitude loop can follow
-_GENTLE_S = 0.5  # cost of using the whole tilt limit, in seconds of flight
-_GENTLE_REJOINING_S = 0.05  # `_GENTLE_S` when rejoining; small, because the plan is within the limits
+_GENTLE_S = 0.5  # a trajectory at the tilt limit must save this time over a gentle one
+_GENTLE_REJOINING_S = 0.05  # value for `_GENTLE_S` when rejoining a plan, which keeps the limits
 _REJOINING_ALLOWANCE = 1.25  # factor on the acceleration limit, because the plan may already reach the limit
 _SPEED_TOLERANCE = 1.01  # a trajectory with a larger slow-down factor counts as slower than planned
 # A contact rotates the vehicle (docs/results/faster_hits.md) if the planned tilt away from the wall is too
 # large for rigid arms, or if a tilt into the wall begins too late for the lagging attitude.
-_THRUST_OFF_SHARE = 0.5  # part of the final outward thrust to remove with rigid arms; lag removes the rest
+_THRUST_OFF_SHARE = 0.5  # fraction of the final outward thrust removed with rigid arms; lag removes the rest
 _LEANS_IN_M_S3 = 8.0  # with a larger final jerk into the wall, another trajectory is preferred
 _LEANS_IN_STEP_M_S3 = 5.0
 _COMPRESSED_M = 0.15  # largest depth behind a wall, due to compressed arms and the wall's position error
-_OFF_PLACE_S = 1.0  # cost of an impact that is off the planned point by the mission's tolerance
+_OFF_PLACE_S = 1.0  # cost, s, of an impact that misses the planned point by the mission's tolerance
 
 
 class _EndStates(NamedTuple):
-    """End states and durations of n candidate polynomials, compared by their duration plus `cost_s`."""
+    """End states and durations of n candidates; the best one has the smallest duration plus `cost_s`."""
 
     x: Array
     y: Array
@@ -106,7 +106,7 @@ class Replanner:
         drift_m_s = mission.vehicle.estimation.position_drift_m_s
         self._anchors = FrameAnchors(drift_m_s) if mission.is_anchored else None
         self._survey = EstimatedWalls(self._anchors)
-        # Trajectories by the collision that they lead to; the key None is the goal.
+        # The mission's trajectories, by the index of the collision at their end; None is the goal.
         self._trajectories: dict[int | None, Trajectory] = {
             led_to: Trajectory.from_mission(pieces, mission.altitude_at(len(mission.collisions)))
             for led_to, pieces in (
@@ -248,7 +248,7 @@ class Replanner:
         return None
 
     def _thrust_off(self, wall: Wall, written: Trajectory) -> float:
-        """Return the thrust per mass, m/s2, at the end of the mission's trajectory; > 0 off the wall."""
+        """Return the thrust per mass, m/s2, at the mission trajectory's end, positive off the wall."""
         end = written.at(written.duration_s)
         drag_n, _ = drag_along(wall, self._mission.vehicle.airframe.drag_per_s)
         return wall.to_collision(end.acceleration)[0] + drag_n * wall.to_collision(end.velocity)[0]
@@ -307,7 +307,7 @@ class Replanner:
         ahead_s = (request.begin_us - request.t_us) * 1e-6
         vectors = (request.position_mission, request.velocity_mission, request.acceleration_mission)
         place, speed, push = (np.array(vector[:2]) for vector in vectors)
-        if request.under_way:  # the trajectory's acceleration changes little in this time
+        if request.under_way:  # predict with the trajectory's current acceleration
             states = np.stack(
                 [place + ahead_s * (speed + 0.5 * ahead_s * push), speed + ahead_s * push, push]
             )
@@ -434,10 +434,10 @@ def _leans_in_late(rejoining: RejoiningTrajectories, wall: Wall) -> Array:
 
 
 def _straights(slack: float) -> list[tuple[float, float]]:
-    """Return options for the straight flight before a wall, best first, as pairs (duration, count).
+    """Return options for the time of straight flight before a wall, best first, as pairs (duration, count).
 
-    `slack` is the tolerance of the wall's position, metres. The straight flight lasts for `duration` seconds
-    plus the time for `count` times `slack`.
+    `slack` is the tolerance of the wall's position, metres. The straight flight lasts `duration` seconds plus
+    the time to fly the distance `count` times `slack`.
     """
     if slack <= 0.0:
         return [(s, 0.0) for s in _STRAIGHT_S]

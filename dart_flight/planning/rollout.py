@@ -42,8 +42,8 @@ from dart_flight.planning.flight_model import (
 )
 from dart_flight.planning.task import Task, drag_along
 
-_HORIZON_S = 6.0  # longest time searched for events; the position loop has settled after this time
-MIN_FACTOR = 0.1  # lower limit of a drawn coefficient relative to its nominal value
+_HORIZON_S = 6.0  # events are searched up to this time, when the position loop has settled
+MIN_FACTOR = 0.1  # smallest ratio of a drawn coefficient to its nominal value
 Outcome = TypeVar("Outcome", NormalOut, TangentialOut)
 Stages = dict[tuple[str, Mode], ContactStage]
 
@@ -80,7 +80,7 @@ class PredictedContacts(NamedTuple):
 
 
 class Arrivals(NamedTuple):
-    """Candidates that completed the sequence; arrays (n,).
+    """Candidates that have completed the sequence and approach the goal; arrays (n,).
 
     Attributes:
         rows: index of the approach.
@@ -290,7 +290,7 @@ class Rollout:
         vn = normal if draw is None else np.minimum(normal + shift_n, -1e-3)
         vt = tangential if draw is None else tangential + shift_t
         out = stage.normal(vn, bn * vn, np.zeros_like(vn))
-        # Many candidates share few normal speeds, so the speed-dependent part is computed once per speed.
+        # The candidates have few different normal speeds, so compute the speed-dependent part once per speed.
         speeds, which = np.unique(vn, return_inverse=True)
         slide = TangentialShape(*(v[which.reshape(vn.shape)] for v in stage.tangential_shape(speeds)))
         along = stage.tangential(slide, vt, bt * vt, np.zeros_like(vt))
@@ -530,7 +530,7 @@ class Rollout:
             if self.constraints is not None:
                 codes = self.constraints.path(w, until, None, first == 0)
                 self._refuse(codes, len(self.walls))
-            # The smallest distance before the rise may be in this window or in an earlier one.
+            # The closest approach may be in an earlier window than the rise of the distance.
             bottom = least[every, until - 1]
             here = bottom < best
             at = (distance <= bottom[:, None]).argmax(axis=1)

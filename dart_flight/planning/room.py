@@ -30,9 +30,9 @@ _MOST_OFF_M = 0.05
 _BACK_M = 0.5
 _INSIDE_M = 0.1  # distance inside the bounds at which a probe ends
 _STEEPEST_RAD = math.radians(65.0)  # largest angle between a contacted wall's normal and the probe
-_OBLIQUE_RAD = math.radians(12.0)  # a single contact measures a wall's direction only if it is less oblique
+_OBLIQUE_RAD = math.radians(12.0)  # the direction measured by a more oblique contact is less certain
 _STEP_RAD = math.radians(7.0)  # angle between a single contact and the additional probes beside this contact
-_GROUP_COST = 12.0  # cost of an additional wall, in squared deviations
+_GROUP_COST = 12.0  # a further wall must reduce the sum of squared deviations by this
 
 Array = NDArray[Any]
 
@@ -155,7 +155,7 @@ class RoomFit:
         if n < 3:
             return Room([], [], [2.0 * math.pi * k / 8 for k in range(8)])
         best: tuple[float, list[list[int]]] = (math.inf, [])
-        for first in range(min(n, 6)):  # contact at which the circular sequence begins
+        for first in range(min(n, 6)):  # try several beginnings of the circular sequence
             order = [(first + k) % n for k in range(n)]
             found = self._partition(order)
             best = min(best, found, key=lambda one: one[0])
@@ -185,14 +185,14 @@ class RoomFit:
         return cost[n], groups[::-1]
 
     def _misfit(self, group: list[int]) -> tuple[float, int, float]:
-        """Return a group's best wall: squared deviations, index of the normal's direction, and offset."""
+        """Return a group's best wall: sum of squared deviations, index of the normal, and offset."""
         offsets = self._offsets[group]
         middle = offsets.mean(axis=0)
         off = offsets - middle
         squares = (off * off).sum(axis=0) / _ON_WALL_M**2
         squares[np.isnan(squares)] = np.inf
         squares[np.abs(off).max(axis=0) > _MOST_OFF_M] = np.inf
-        for k in group:  # the direction measured by one contact, which counts less after an oblique contact
+        for k in group:  # add the contact's own measurement of the direction
             one = self._touches[k]
             if one.normal_rad is None:
                 continue

@@ -19,16 +19,16 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
-_SPEED_M_S = 0.5  # probe speed: slow, but the force is well above the detection threshold in both modes
+_SPEED_M_S = 0.5  # speed of a probe; at this speed both modes are still detected reliably
 _RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
 _BACK_M = 0.5
-# Contacts to try, in this order: offset from the wall's middle, as a fraction of the wall's length.
+# Points of contact in the order of trial: offset from the wall's middle, as a fraction of its length.
 _ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)
 _PLACE_SD_M, _YAW_SD_DEG = 0.1, 3.0  # standard deviations for walls without configured standard deviations
 
 
 class SurveyPlan(NamedTuple):
-    """A mission that touches walls; for each wall out of its reach, the reason, by the wall's name."""
+    """A mission that touches walls, and why it cannot reach the other walls (reasons by wall name)."""
 
     mission: Mission
     unreachable: dict[str, str]

@@ -1,4 +1,4 @@
-"""The inputs of a rollout: vehicle, room, and the options at each wall.
+"""Inputs of a rollout: the vehicle, the room, and the modes and gains at each wall.
 
 `make_task` returns the inputs for part of a mission. A scenario of the planner has the same fields (`Task`).
 """

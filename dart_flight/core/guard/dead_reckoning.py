@@ -6,7 +6,7 @@ the state before the reset, is accurate for that time:
 
     v' = R(q) f + g,    p' = v,    q = D gyro(t)
 
-D is the rotation that `heading_step` defines, taken before the reset; f is the specific force.
+D is the rotation that `heading_step` defines, at its value before the reset. f is the specific force.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from dart_flight.base.records import ImuSample, OdometrySample
 from dart_flight.core.guard.heading_step import HEADING_STEP_DEG
 
 WRONG_RAD = math.radians(HEADING_STEP_DEG)
-_DETECTED_S: Final = 0.2  # a step of the heading is detected within this time after a reset
+_DETECTED_S: Final = 0.2  # longest time from a reset until a heading step of this reset is detected
 # PX4 subtracts its estimated biases from the IMU's readings. A wrong heading disturbs these estimates, so
 # PX4's velocity is wrong by up to 0.5 m/s after 2 s.
 _LONGEST_S: Final = 2.5
 _RESET_M: Final = 0.1
-_SAME_M, _SAME_M_S = 0.2, 0.3  # tolerances for a recovered estimate of PX4
+_SAME_M, _SAME_M_S = 0.2, 0.3  # PX4's estimate has recovered if it differs from the integral by less
 
 
 class DeadReckoning:

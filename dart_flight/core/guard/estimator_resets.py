@@ -1,4 +1,5 @@
-"""Resets of PX4's estimator. ODOMETRY's counter shows the time of a reset, the jumps show its size.
+"""Resets of PX4's estimator. ODOMETRY's reset counter gives the time of a reset, and the jumps of the
+estimate give its size.
 
 The guard evaluates the newest reset; the verdict lists all resets.
 """
@@ -15,12 +16,12 @@ from dart_flight.core.guard.dead_reckoning import WRONG_RAD, DeadReckoning
 from dart_flight.core.guard.heading_step import HeadingStep
 
 REACH_US: Final = 100_000  # largest time between a reset's step and the counter's change
-_JUMP_REACH_US: Final = 100_000  # jumps are detected only across shorter gaps between odometry samples
+_JUMP_REACH_US: Final = 100_000  # two odometry samples that are farther apart in time are not compared
 _STEPS: Final = 16  # number of odometry samples kept; they cover more than `REACH_US`
 
 
 class EstimatorReset:
-    """One reset, with the largest steps within 0.1 s of the counter's change.
+    """One reset, with the largest steps of the estimate within 0.1 s before or after the counter's change.
 
     Attributes:
         t_us: autopilot time at which the counter rose.
@@ -68,7 +69,7 @@ class EstimatorResets:
         away_m = math.dist(item.position_ned, _extrapolate(before, item))
         if self._reckoned is not None and self._reckoned.is_finished(item, self.heading_error_rad, away_m):
             if not self._reckoned.heading_was_wrong:
-                self._rotation = None  # after a long time, gyro drift would look like a heading error
+                self._rotation = None  # with an older rotation, gyro drift looks like an error
             self._reckoned = None
         faster_m_s = math.dist(item.velocity_ned, before.velocity_ned)
         self._steps.append((item.t_us, away_m, faster_m_s))
@@ -99,7 +100,7 @@ class EstimatorResets:
 
     @property
     def heading_error_rad(self) -> float:
-        """PX4's heading minus the heading from before a reset, continued by integrating the gyro.
+        """PX4's heading minus the true heading, which is the heading before a reset plus the gyro's integral.
 
         The error is 0 if the heading did not step at the reset, or if the integral of the gyro has
         been interrupted since then.
@@ -133,7 +134,7 @@ class EstimatorResets:
 
 
 def _extrapolate(before: OdometrySample, after: OdometrySample) -> Vec3:
-    """Predict the position from the mean of the two velocities."""
+    """Predict the position at `after` from the position at `before` and the mean of both velocities."""
     dt = (after.t_us - before.t_us) * 1e-6
     p, v, w = before.position_ned, before.velocity_ned, after.velocity_ned
     return (

@@ -21,7 +21,7 @@ from dart_flight.core.guard.rule import Rule, RuleCondition, Scope
 from dart_flight.core.guard.second_vehicle import POSITION_JUMP_M
 from dart_flight.core.mission.phases import ON_GROUND
 
-VELOCITY_JUMP_M_S: Final = 1.5  # limit of a jump between two samples; only a contact causes a larger jump
+VELOCITY_JUMP_M_S: Final = 1.5  # limit between two samples; only a contact changes a correct velocity by more
 # A reset with smaller steps changes only the heading, for example when PX4 aligns it in flight.
 RESET_POSITION_M: Final = 0.05
 RESET_VELOCITY_M_S: Final = 0.2
@@ -33,7 +33,7 @@ _ALIGNING: Final = frozenset((*ON_GROUND, Phase.CLIMB))
 class EstimatorWatch:
     """Monitor of PX4's estimator in one flight. Its methods return a description of a problem, or None.
 
-    `jump` describes the problem with this step's odometry, or is empty.
+    `jump` describes a jump in this step's odometry, and is empty if there is none.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class EstimatorWatch:
         self._reset_phase = Phase.READYING  # the phase at the newest reset
         self._unhealthy = False
         self._invalid_since_us: int | None = None
-        self._recovers_us: int | None = None  # last time of a wrong motion estimate after a heading step
+        self._recovers_us: int | None = None  # newest time at which PX4's motion was wrong
 
     def begin(self, now_us: int, excused: bool) -> None:
         """Begin a step; if `excused`, an impact explains unusual behaviour of the estimator."""
@@ -74,7 +74,7 @@ class EstimatorWatch:
             self._unhealthy = not item.healthy
 
     def finish(self, position_ok: bool) -> None:
-        """Finish a step; `position_ok` is the flag in PX4's status."""
+        """Finish a step; `position_ok` is PX4's flag for a valid position."""
         if (position_ok and not self._unhealthy) or self._excused:
             self._invalid_since_us = None
         elif self._invalid_since_us is None and self._now_us:  # `_now_us` is 0 until a stamped sample arrives

@@ -76,7 +76,7 @@ def _rank_of(text: str, event: str) -> int:
         return _MENTIONED if "failsafe" in text else 0
     found = _SWITCHING.search(text)
     if found is not None and ("\n" in text or not _ACTIVATED.search(found[1])):
-        return _CAUSE_NAMED  # PX4 appends each failed check as a separate line
+        return _CAUSE_NAMED  # PX4 sends each failed check as a separate text
     if found is not None or _ACTIVATED.search(text) or event.startswith(_EVENT):
         return _ANNOUNCED
     return _MENTIONED if "failsafe" in text else 0

@@ -41,17 +41,17 @@ from dart_flight.core.mission.position_loop import STOP_TIME_S, stop_share
 from dart_flight.core.sense.senses import IMPACT_WINDOW_S, Sensed
 from dart_flight.core.sense.state import FlightState
 
-_DOUBT_US: Final = 100_000  # another vehicle's first sample follows its heartbeat within this host time
+_DOUBT_US: Final = 100_000  # host time within which a vehicle's first sample follows its heartbeat
 _CLIP_SHARE: Final = 0.99
-# No flying vehicle keeps such a tilt near the ground. PX4 does not detect that a vehicle lies on its side.
+# A vehicle that keeps this tilt near the ground lies on its side, which PX4 does not detect.
 LYING_TILT_DEG: Final = 60.0
-_FALLING_M_S2: Final = 4.9  # a vehicle with a smaller specific force falls; half of the value in hover
-_LYING_BELOW_M: Final = 0.5  # limit of the height above take-off; large, because a fall disturbs the estimate
+_FALLING_M_S2: Final = 4.9  # a vehicle with a smaller specific force falls; in hover it is twice this limit
+_LYING_BELOW_M: Final = 0.5  # largest estimated height of a lying vehicle; a fall disturbs the estimate
 # The body rates are not tested: PX4's rate loop shakes a vehicle that lies on its side at up to 2.5 rad/s.
 _STILL_M_S: Final = 0.5
 _ATTITUDE_OLD_US: Final = 100_000
-_SURELY_DOWN: Final = 3.0  # longest landing, as a multiple of the descent from the flight space's top
-_PAUSE_US: Final = 40_000  # host time; a longer gap between two ticks (20 ms) is a pause of this program
+_SURELY_DOWN: Final = 3.0  # largest ratio of a landing's duration to the descent from the flight space's top
+_PAUSE_US: Final = 40_000  # a longer host time between two ticks (period 20 ms) counts as a pause
 _PAUSE_MEMORY_US: Final = 3_000_000
 
 
@@ -65,7 +65,7 @@ class FlightConditions:
         self.state = FlightState()  # replaced by the core's state at the first step
         self.force: ForceEstimate | None = None  # this step's estimate
         self.request: OperatorRequest | None = None  # this step's request
-        self.thrust_ratio: float | None = None  # value from the last few seconds of free flight
+        self.thrust_ratio: float | None = None  # newest known value of `Sensed.thrust_ratio`
         self.land_asked = False
         self.kill_asked = False
         self.was_offboard = False
@@ -77,7 +77,7 @@ class FlightConditions:
         self.clipped_since_us: int | None = None
         self.battery_low_since_us: int | None = None
         self.falling_since_us: int | None = None  # start of a fall with stopped motors
-        self.lying_since_us: int | None = None  # start of lying on the ground, tilted and still
+        self.lying_since_us: int | None = None  # time since which the vehicle lies tilted and still
         self._ground_m: float | None = None  # height before take-off
         # Time at which the vehicle was first armed in land mode: autopilot time and host time.
         self._landing_since_us: tuple[int, int] | None = None
@@ -149,7 +149,7 @@ class FlightConditions:
 
     @property
     def circumstances(self) -> str:
-        """Text to append about a stream's failure: another vehicle, a pause, both, or empty."""
+        """Text that lists possible causes of a stream's failure: another vehicle, a pause; or empty."""
         other = self.others.other_system
         known = f"; {other}" if other is not None else ""
         if self.has_paused:
@@ -185,7 +185,7 @@ class FlightConditions:
 
     @property
     def failsafe_words(self) -> str:
-        """PX4's text about the cause of a failsafe, or the statement that PX4 gives no cause."""
+        """PX4's text about the cause of a failsafe, or a text which says that PX4 gives no cause."""
         return self._failsafe.words(self.state.now_us) or "PX4 reports a failsafe and gives no cause"
 
     @property
@@ -314,7 +314,7 @@ class FlightConditions:
 
     def _handle_odometry(self, item: OdometrySample) -> None:
         state = self.state
-        if not state.is_plausible(item):  # differences from this sample are meaningless
+        if not state.is_plausible(item):  # an implausible sample must not be compared with the next one
             self.estimator.reject_odometry(item)
             return
         self._handle_stamp("odometry", item, state.odometry)

@@ -49,7 +49,7 @@ Causes = list[tuple[Rule, int, Cause]]  # rule, rank of its action, cause functi
 _NO_CAUSES: Final[Causes] = []
 _COMMANDS: Final = (Setpoint, VehicleCommand)
 _COMMANDS_AND_LOCK: Final = (Setpoint, VehicleCommand, LockCommand)
-_EVALUATION_US: Final = 20_000  # evaluation period in host time: the tick's period, kept even without ticks
+_EVALUATION_US: Final = 20_000  # longest host time between two evaluations of all rules: the tick's period
 _HOLD_US: Final = 3_000_000
 _RETRY_US: Final = 1_000_000
 _STOPPED_M_S: Final = 0.3
@@ -69,7 +69,7 @@ class _PhaseRules(NamedTuple):
 
 
 class Guard:
-    """Evaluates the rules and flies the vehicle once a rule has fired; tests may pass a different table."""
+    """Stage that evaluates the rules and, once a rule has fired, flies the vehicle."""
 
     def __init__(self, mission: Mission, rules: tuple[Rule, ...] = RULES) -> None:
         self._mission = mission
@@ -81,7 +81,7 @@ class Guard:
         # A landing may take longer than the time after which the guard stops the motors.
         self._landing_us = max(_LANDING_US, round(2e6 * (self._flight.landing_timeout_s or 0.0)))
         self.action = Override.NONE
-        self.overrules = False  # whether a rule has fired, so that the mission is ignored
+        self.overrules = False  # whether the guard, not the mission, flies
         self._rank = self.action.rank
         self.reason: str | None = None
         self._rule: Rule | None = None  # the rule in force
@@ -161,7 +161,7 @@ class Guard:
         landing = self._flight.land_asked
         for rule, rank, cause in due:
             if landing and rule.scope is Scope.GUIDED:
-                continue  # a landing leaves the flight space at the bottom
+                continue  # a landing vehicle leaves the flight space downwards
             # If a rule's action is already active, evaluate the rule only if it can explain the active rule.
             if rank > self._rank:
                 detail = cause(self._flight)
@@ -183,7 +183,7 @@ class Guard:
     def _apply_explanation(
         self, rule: Rule, detail: str | None, state: FlightState, events: list[Output]
     ) -> None:
-        """If `rule` explains the rule that gave the reason, put `rule` in force with the reason `detail`."""
+        """If `rule` explains the rule that gave the reason, replace that rule by `rule` and its `detail`."""
         if detail is not None and self._cause in rule.explains:
             if rule.of_streams:
                 detail += self._flight.circumstances
@@ -211,7 +211,7 @@ class Guard:
         if rule is None:
             if name not in RULES_BY_NAME:
                 raise KeyError(name)
-            return  # this guard's table does not have the rule
+            return  # a test has left this rule out of the table
         if noted:
             events.append(GuardEvent(state.now_us, rule.name, Override.NONE, detail))
             return
@@ -266,7 +266,7 @@ class Guard:
             return
         if isinstance(item, OdometrySample) and state.frame is not None:
             impact = self._flight.impact
-            again = impact is not self._held_impact  # after a new impact, keep away from its wall
+            again = impact is not self._held_impact  # a new impact moves the point to hold off the wall
             # After a jump in the estimate, hold position at the new estimate.
             jumped = bool(self._flight.estimator.jump) and "estimator_jump" in self._rules
             if self._hold is None or again or jumped or self._has_stopped_elsewhere(state, self._hold):
@@ -280,7 +280,7 @@ class Guard:
     def _hold_setpoint(
         self, item: OdometrySample, state: FlightState, frame: MissionFrame, hold: Vec3
     ) -> Setpoint:
-        """Return the setpoint that holds the vehicle at `hold`, with its true heading.
+        """Return the setpoint that holds the vehicle at the point `hold` and at its true heading.
 
         After a wrong reset of the heading, PX4's position and velocity are wrong, and PX4 rotates every
         horizontal acceleration by its heading error. Until PX4's estimate has recovered, the guard leaves the

@@ -1,4 +1,4 @@
-"""Steps of the estimated heading, detected by comparing the attitude with the integrated gyro.
+"""Detection of steps in PX4's heading, by comparing PX4's attitude with the integrated gyro rates.
 
     step = vertical part of  D(t) conj(D(t - 0.1 s)),  D(t) = attitude(t) conj(gyro(t))
 
@@ -31,13 +31,13 @@ _GAP_US: Final = 20_000  # a longer gap between two rates makes the integral inv
 
 
 class HeadingStep:
-    """Recent rotations of the heading estimate that the gyro did not measure, each with its stamp."""
+    """Detector of heading changes that the gyro did not measure, over the last 0.1 s."""
 
     def __init__(self) -> None:
         self.gyro: Quaternion = IDENTITY
         self._imu_us: int | None = None
         self._rate: Vec3 = (0.0, 0.0, 0.0)
-        self._waiting: AttitudeSample | None = None  # waits until the rates have reached its stamp
+        self._waiting: AttitudeSample | None = None  # attitude that is newer than the newest rate
         self._turns: deque[tuple[int, Quaternion]] = deque()  # stamps and D of the last 0.1 s
 
     def add_imu(self, item: ImuSample) -> None:
@@ -68,7 +68,8 @@ class HeadingStep:
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return the heading's step since an earlier value of `before`, positive clockwise seen from above.
+        """Return the heading's step since the time of `before` (a former `self.before`), rad, clockwise
+        positive.
 
         `self.before` must not be None.
         """

@@ -28,13 +28,13 @@ from dart_flight.core.sense.state import FlightState
 
 LOST_S: Final = 0.5
 LOST_APPROACH_S: Final = 0.25
-LOST_LAND_S: Final = 1.5  # longest loss of poses before a landing: dead reckoning has erred by 0.2 m
+LOST_LAND_S: Final = 1.5  # after this loss the vehicle lands, because dead reckoning has erred by 0.2 m
 _GROUND_LOST_S: Final = 2.0  # longest loss of poses on the ground, where a loss is no hazard
-_FIRST_S: Final = 5.0  # longest wait from the first input to the first pose
+_FIRST_S: Final = 5.0  # longest time from the core's first input to the first pose
 # Limit of a pose's distance from its prediction by PX4's velocity, which errs by up to 2 m/s in a contact.
 JUMP_M: Final = 0.15
 _JUMP_M_S: Final = 2.0
-_JUMP_S: Final = 0.05  # longest duration of a tolerated jump; PX4's innovation gate rejects shorter jumps
+_JUMP_S: Final = 0.05  # a shorter jump is tolerated, because PX4's innovation gate rejects it
 _JUMP_GAP_S: Final = 0.1  # after a longer gap, a pose is compared only with PX4's estimate
 # Limits of the difference between a pose and PX4's estimate, and how long a pose may exceed them. In a fast
 # rotation, latency causes a larger difference, but for a shorter time.
@@ -43,15 +43,15 @@ _TURNED_S: Final = 0.1
 APART_M: Final = 0.3
 _APART_S: Final = 0.5
 _APART_LATENCY_S: Final = 0.1
-_GROUND_APART_S: Final = 3.0  # `_APART_S` on the ground, where PX4 aligns its estimate with the first poses
+_GROUND_APART_S: Final = 3.0  # value for `_APART_S` on the ground, where PX4 first aligns its estimate
 RATE_SHARE: Final = 0.5  # poses are too slow below this fraction of the configured rate
-_INTERVALS: Final = 9  # intervals whose median gives the rate, so that a single gap does not count
-LATER_S: Final = 0.04  # limit of the added delay; PX4's estimate oscillates with a longer delay
+_INTERVALS: Final = 9  # the rate is the median over this number of intervals, so a single gap has no effect
+LATER_S: Final = 0.04  # limit of a delay's growth since take-off; PX4's estimate oscillates beyond it
 _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
-_RECENT_US: Final = 5_000_000  # PX4's estimate may follow wrong poses for this time
+_RECENT_US: Final = 5_000_000  # wrong poses may affect PX4's estimate for this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # after this time, a recovering vehicle flies on to the next wall or the goal
+_RECOVERED_S: Final = 0.5  # part of a recovery before the vehicle flies to the next wall or the goal
 
 
 class PoseWatch:
@@ -65,18 +65,18 @@ class PoseWatch:
         self._tracked_us = 0  # host time of the newest tracked pose, or 0 if there is none
         # Receipt and position (NED) of the newest plausible pose.
         self._plausible: tuple[int, Vec3] | None = None
-        self._settling_us: int | None = None  # start or end of a gap; None once two poses agree
+        self._settling_us: int | None = None  # newest start or end of a gap in the poses, or None
         self._jumped_us: int | None = None  # host time at which poses first were far from `_plausible`
         self._jump = ""
         self._wrong = self._turned_wrong = ""  # why poses, or only their attitudes, are withheld
         self._withheld_us = 0
-        self._not_recovering_us = 0  # host time of the newest pose in a phase other than the recovery
+        self._not_recovering_us = 0  # host time of the newest pose outside of a recovery
         self._recent, self._recent_us = "", -_RECENT_US  # newest fault and its time
         self._apart_us: int | None = None
         self._turned_us: int | None = None
         self._apart_m = self._turned_deg = 0.0
         self._intervals: deque[int] = deque(maxlen=_INTERVALS)  # times between tracked poses, us
-        self._ages: deque[tuple[int, int]] = deque()  # time of receipt; this time minus the source's stamp
+        self._ages: deque[tuple[int, int]] = deque()  # time of receipt; receipt minus the source's stamp
         self._least_age_us: int | None = None
         self._other: PoseSample | None = None  # newest pose of the previous sender
         self._alternates_us: int | None = None  # host time at which two senders last alternated
@@ -125,7 +125,7 @@ class PoseWatch:
         return text
 
     def blind(self, estimate_steps: bool, phase: Phase) -> str | None:
-        """Return the reason why PX4's position is unusable, or None for a usable position.
+        """Return the reason why PX4's position cannot be used, or None if it can.
 
         `estimate_steps` means that PX4's estimate has just jumped.
         """
@@ -212,7 +212,7 @@ class PoseWatch:
         self._ages.append((item.received_us, item.t_us - item.source_us))
         while self._ages[0][0] < item.received_us - _AGE_US:
             self._ages.popleft()
-        if on_ground:  # the autopilot's clock is still being estimated
+        if on_ground:  # the offset of the autopilot's clock is not yet known precisely
             return
         least_us = (
             min(age_us for _, age_us in self._ages) if self._least_age_us is None else self._least_age_us

@@ -24,7 +24,7 @@ class Scope(StrEnum):
     GROUND = "before take-off"
     AIR = "in the air"
     GUIDED = "while the mission or the guard flies the vehicle"  # not while landing
-    FLYING = "while the mission flies the vehicle"  # not while landing, nor under the guard's control
+    FLYING = "while the mission flies the vehicle"  # neither while landing nor while the guard flies
 
 
 class RuleCondition(NamedTuple):
@@ -59,8 +59,8 @@ class Rule(NamedTuple):
             urgent; some other conditions last for a single sample only.
         by_person: whether a person has taken over when the rule fires. The flight then counts as released,
             not as aborted.
-        explains: rules that may fire earlier for the same cause. If one of them is the reason, this rule
-            replaces it as the reason.
+        explains: rules that may fire earlier for the same cause. If the flight's recorded reason is one of
+            these rules, this rule replaces it.
         of_streams: whether the rule concerns failing telemetry. The rule's detail then also describes the
             state of link and computer.
         noted: whether log and verdict record the rule, once per flight, even if an equally strong action is

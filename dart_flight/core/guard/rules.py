@@ -37,16 +37,16 @@ from dart_flight.core.mission.phases import ALTITUDE_EXEMPT, ON_GROUND
 from dart_flight.core.sense.bias import THRUST_SCALE_LIMIT
 
 LYING_S: Final = 0.5
-IMU_STUCK_S: Final = 0.1  # longest repetition of a reading; noise changes every reading of a working IMU
-IMU_CLIPPED_S: Final = 0.25  # limit of the time at full scale, longer than any contact
-BATTERY_LOW_S: Final = 1.0  # time below the limit before the rule fires, longer than a burst of thrust
+IMU_STUCK_S: Final = 0.1  # longest time with equal readings; noise changes every reading of a working IMU
+IMU_CLIPPED_S: Final = 0.25  # longest time at full scale; every contact is shorter
+BATTERY_LOW_S: Final = 1.0  # time below the limit until the rule fires; bursts of thrust are shorter
 ALTITUDE_TOLERANCE_M: Final = 0.25  # tolerance after an impact, which changes the altitude by about 0.15 m
 FORCE_MARGIN: Final = 1.15  # margin for the noise of one sample; `peak_force` checks the peak itself
 _SPEED_TOLERANCE: Final = 1.1
 _STALE_SAMPLES: Final = 5  # number of old stamps in a row; a single old stamp may be a late datagram
 _FALL_S: Final = 0.1
 _ALTITUDE_SLACK_M: Final = 0.05
-_GUARD_STRAYS_M: Final = 0.2  # distance outside the bounds that a break-off may reach
+_GUARD_STRAYS_M: Final = 0.2  # a break-off may lead this far outside the bounds
 _AFTER_CLIMB: Final = frozenset({Phase.WAYPOINT, Phase.PAUSE, Phase.TRANSIT, Phase.PREPARE})
 
 

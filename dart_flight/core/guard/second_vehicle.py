@@ -17,17 +17,17 @@ from dart_flight.base.stamps import leaps
 from dart_flight.base.streams import SAMPLED_NAME
 from dart_flight.core.guard.stream_watch import STAMP_TOLERANCE_S, Stamped
 
-POSITION_JUMP_M: Final = 0.3  # larger than an estimator's correction; the vehicle's speed is allowed for
+POSITION_JUMP_M: Final = 0.3  # larger than an estimator's correction; the flown distance is added to it
 _TURNS: Final = 3  # alternations within `_WINDOW_US` that prove a second source
 _WINDOW_US: Final = 2_000_000  # host time
 _REACH_US: Final = 1_000_000  # longest gap between samples of one source
-_SUSPECT_US: Final = 250_000  # lifetime of a suspicion after the last odd sample; a detection takes less time
+_SUSPECT_US: Final = 250_000  # time of suspicion after an unexpected sample; proof arrives sooner
 
 
 class SecondClockDetector:
     """Detects a second clock in the stamps of one stream.
 
-    A stamp that is older than the newest one by at most `tolerance_us` comes from a late datagram.
+    If a stamp is older than the newest stamp by at most `tolerance_us`, a late datagram explains it.
     """
 
     def __init__(self, tolerance_us: float) -> None:
@@ -53,7 +53,7 @@ class SecondClockDetector:
             return
         before = self._behind_us
         if before is not None and not 0 < t_us - before < _REACH_US:
-            self._turns.clear()  # there is one clock, which jumps back repeatedly or stands still
+            self._turns.clear()  # not a second clock: one clock jumps back repeatedly or stands still
         if not self._was_behind:
             self.odd_us = received_us
         self._behind_us, self._was_behind = t_us, True

@@ -27,30 +27,30 @@ from dart_flight.core.sense.state import FlightState
 
 Stamped = ImuSample | AttitudeSample | OdometrySample | ActuatorSample
 
-LINK_LOST_S: Final = 5.0  # after this silence, PX4's own failsafe for a lost link has acted
-ACTUATOR_TIMEOUT_S: Final = 0.3  # after this silence, thrust and contact force cannot be separated
+LINK_LOST_S: Final = 5.0  # silence after which PX4's own failsafe for a lost link has acted
+ACTUATOR_TIMEOUT_S: Final = 0.3  # silence of the actuators after which the force estimate is unusable
 STATUS_TIMEOUT_S: Final = 3.0  # time of three heartbeats
 STAMP_TOLERANCE_S: Final = 0.5  # largest delay of a datagram
-_OTHERS_SINCE: Final = 12  # samples since the last IMU sample that prove that the other streams continue
-_GAP_US: Final = 500_000  # an announcement of PX4 may have been lost in a silence of this length
-_GAP_MEMORY_US: Final = 3_000_000  # a gap may explain a mode change within this time
+_OTHERS_SINCE: Final = 12  # this many samples since the newest IMU sample show that other streams continue
+_GAP_US: Final = 500_000  # a silence of this length may have hidden an announcement by PX4
+_GAP_MEMORY_US: Final = 3_000_000  # time after a gap in which the gap may explain a change of mode
 _RATE_WINDOW_US: Final = 1_000_000
-_SHARE: Final = 0.15  # limit of the fraction of time with late samples; a batch after a pause takes no time
+_SHARE: Final = 0.15  # largest fraction of time with late samples; a batch after a pause takes no time
 _SHARE_US: Final = 1_000_000
-_FORGOTTEN: Final = 0.01  # earlier late samples no longer count below this fraction
+_FORGOTTEN: Final = 0.01  # below this fraction, earlier late samples are forgotten
 _STEP_MAX_US: Final = 20_000  # limit of the time that one sample represents
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
-_LAST: Final = 3  # round trips kept; the shortest counts if the clocks cannot be compared
-_AGE_MAX_S: Final = 999.0  # age reported for a stream that never arrived
+_LAST: Final = 3  # round trips kept; without a clock offset, the shortest bounds the delay
+_AGE_MAX_S: Final = 999.0  # reported age, s, of a stream without a sample
 
 
 class TelemetryDelay:
-    """Age of a vehicle's samples at their receipt; unknown before the first round trip.
+    """Estimator of the age of a vehicle's samples at their receipt; it needs at least one round trip.
 
-    A constant delay does not show in stamps, because the clock offset hides it. A request's round trip bounds
-    this delay. The autopilot answers at some time between request and receipt, so the clock offset from a
-    round trip is wrong by at most half the duration of the round trip. The age of an IMU sample is computed
-    from its stamp, its receipt, and the most accurate offset so far. Samples older than `limit_s` are late.
+    Stamps do not show a constant delay, because the clock offset hides it. A round trip bounds this delay.
+    The autopilot answers at some time between request and receipt, so the clock offset from a round trip is
+    wrong by at most half the duration of the round trip. The age of an IMU sample is computed from its stamp,
+    its receipt, and the most accurate offset so far. Samples older than `limit_s` are late.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -97,7 +97,7 @@ class TelemetryDelay:
         self.late = self._share > _SHARE
 
     def describe(self, has_paused: bool = False) -> str:
-        """Describe the delay; after a pause of this program, the link is not the likely cause."""
+        """Describe the delay; `has_paused` means that a pause of this program may have caused the delay."""
         shortest_us = min(self._last, default=0)
         slow_link = shortest_us > self._limit_us
         also = f", round trip {shortest_us * 1e-3:.0f} ms" if slow_link else ""
@@ -169,14 +169,14 @@ class StreamWatch:
 def _silence(
     description: str, streams: tuple[str, ...], limit: str | float, words: str = "", alone: str = ""
 ) -> RuleCondition:
-    """Return the condition that streams have been silent together for longer than a limit.
+    """Return the condition that all of the given streams have been silent for longer than a limit.
 
     Args:
         limit: seconds, or the key of the guard's threshold.
         words: format of the message; the fields `s` and `ms` are replaced by the duration in seconds and
             milliseconds.
-        alone: key of a second limit that applies while other streams continue. Link and host are then not
-            the cause.
+        alone: key of a shorter limit for the case that other streams continue, so that neither link nor host
+            is the cause.
     """
     message = BY_NAME[streams[0]].message if streams[0] in BY_NAME else ""
 

@@ -21,9 +21,9 @@ from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import FrameAnchor, WallEstimate
 from dart_flight.base.walls import Wall
 
-START_SD_M: Final = 0.3  # accuracy of the vehicle's placement at the mission's start
+START_SD_M: Final = 0.3  # standard deviation with which people place the vehicle at the mission's start
 WALL_SD_M: Final = 0.02  # standard deviation of a surveyed wall if none is configured
-_SAME_NORMAL: Final = 0.98  # above this cosine, an anchor replaces the previous one of that direction
+_SAME_NORMAL: Final = 0.98  # two normals count as one direction if their cosine is larger
 
 
 class Anchor(NamedTuple):

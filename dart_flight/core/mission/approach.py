@@ -24,19 +24,19 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m, spans_w
 # Speed follows 3 s^2 - 2 s^3: the peak acceleration is 1.5 times the mean, and the length is half the final
 # speed times the duration.
 PEAK_OVER_MEAN = 1.5
-_RAMP_JERK = 6.0  # ratio of this ramp's peak jerk to speed / duration^2
+_RAMP_JERK = 6.0  # peak jerk = 6 speed / duration^2
 CLEARANCE_M = 0.15
 ON_PLANE_M = 1e-6  # rounding tolerance of an impact on its wall's plane
-_TRAJECTORY_STEP_S = 0.02  # sampling step; a trajectory crosses no wall between samples
+_TRAJECTORY_STEP_S = 0.02  # sampling step of trajectories; too short to pass through a wall unnoticed
 _ON_RAY_M = 1e-6  # a start within this distance counts as on the ray of its approach
 
 
 class NoApproachError(ValueError):
-    """There is no room for a run-up, or an obstacle blocks the run-up."""
+    """Error: there is no room for a run-up, or an obstacle blocks it."""
 
 
 class RunUp(NamedTuple):
-    """Beginning and ramp of an approach, as numbers or as arrays."""
+    """An approach: begin, direction, speed and duration of the ramp, as numbers or arrays."""
 
     begin: tuple[Number, Number]
     direction: tuple[Number, Number]

@@ -23,11 +23,11 @@ from dart_flight.core.mission.position_loop import PlaneImpact
 from dart_flight.core.mission.recovery import recovery_offset, recovery_point
 from dart_flight.core.sense.state import FlightState
 
-# Margin of the predicted stop before the wall; small, because a break-off brakes harder than a hold.
+# Minimum predicted distance of the stop from the wall; a break-off, which brakes harder, stops earlier.
 STOP_MARGIN_M = 0.02
-# Margin before the predicted impact, for its timing error and one poll of the lock.
+# The lock must settle this long before the predicted impact: timing error plus one poll of the lock.
 SETTLED_BEFORE_S = 0.05
-# The paper's plan has a setpoint 0.5 m outside the bounds. A farther setpoint pulls the vehicle astray.
+# The paper's plan has a setpoint 0.5 m outside the bounds. A much farther one pulls the vehicle astray.
 SETPOINT_OUTSIDE_M = 2.0
 
 
@@ -45,7 +45,7 @@ def may_commit(
     Args:
         following: the collision ahead.
         met: predicted impact with the wall.
-        ready_s: time until the lock is settled; infinite if the lock is in fault.
+        ready_s: time until the lock is settled; infinite if the lock is in fault or overdue.
     """
     if ready_s > met.after_s - SETTLED_BEFORE_S:
         return False

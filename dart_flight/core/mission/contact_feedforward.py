@@ -19,16 +19,16 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.senses import Sensed
 
 _FADED_M_S2: Final = 0.02
-_LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, which also bounds the effect of a stale setpoint
+_LARGEST_M_S2: Final = 5.0  # limit of the feed-forward, in case a stale setpoint stays active
 # The measured motion is commanded for at most this time from the onset, because PX4 keeps following an old
 # setpoint.
 LONGEST_S: Final = 0.25
 
 
-# Fraction of the tilt that would balance a vehicle that does not rotate (docs/results/faster_hits.md).
+# Used fraction of the tilt that balances a vehicle which does not rotate (docs/results/faster_hits.md).
 _BALANCED: Final = 0.9
-_MOST_LEAN: Final = 0.3  # limit of the tilt, as a tangent
-_AGAINST_PLAN: Final = 1.3  # factor on a tilt into the wall if the planned tilt is away from the wall
+_MOST_LEAN: Final = 0.3  # limit of the tilt's tangent
+_AGAINST_PLAN: Final = 1.3  # factor on a tilt into the wall that must overcome a planned tilt off the wall
 
 
 def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: Mode | None = None) -> float:
@@ -52,7 +52,7 @@ def balancing_acceleration_m_s2(height_m: float | None, out_m: float, planned: M
 
 
 class ContactFeedforward:
-    """The contact's acceleration as seen by PX4's D term."""
+    """Filter of the contact's acceleration that copies the filter of PX4's D term."""
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         self._per_newton = 1.0 / vehicle.airframe.mass_kg

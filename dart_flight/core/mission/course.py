@@ -11,13 +11,13 @@ from dart_flight.config.vehicle import Flying
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-ARRIVED_M: Final = 0.12  # limit of the distance, larger than the error of PX4's position loop in hover
+ARRIVED_M: Final = 0.12  # largest distance from a reached target; PX4's error in hover is smaller
 ARRIVED_M_S: Final = 0.1
 ARRIVED_S: Final = 0.3  # position and speed must be within their limits for this time
-MEAN_SPEED_S: Final = 0.3  # averaging time: PX4's velocity contains vibration (docs/results/real_data.md)
+MEAN_SPEED_S: Final = 0.3  # averaging time for PX4's velocity, which vibrates (docs/results/real_data.md)
 _ARRIVED_YAW_RAD: Final = 0.05
-# Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. The vehicle then
-# does not come to rest, and waiting for the last degrees would make the contacts seconds older.
+# Factors on an arrival's limits of distance, speed and heading if PX4's position drifts. A drifting vehicle
+# does not come to rest, and waiting for the last degrees lets the frame drift for seconds.
 _DRIFTING_NEAR: Final = 2.5
 _DRIFTING_SLOW: Final = 4.0
 _DRIFTING_TURNED: Final = 2.0
@@ -54,7 +54,7 @@ class Course(NamedTuple):
         return self._transit(target, speed_m_s or flying.transit_speed_m_s, flying)
 
     def fly_to_waypoint(self, place: Vec3, flying: Flying, speed_m_s: float) -> Course:
-        """Fly from rest at the target to rest at a waypoint, whose altitude then applies to later targets."""
+        """Fly from rest at the target to rest at a waypoint; later targets keep the waypoint's altitude."""
         return self._replace(altitude_m=place[2])._transit(place, speed_m_s, flying)
 
     def follow(self, trajectory: Trajectory) -> Course:

@@ -58,14 +58,14 @@ from dart_flight.core.mission.wall_uncertainty import late_s, overrun_m
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory after the contact; enough for two answers
-_NEAR_S: Final = 0.3  # the impact is near if less than this time remains until the planned impact
-_NOTHING_MET_S: Final = 0.3  # wait at the end of a probe's line, because PX4 follows setpoints with a delay
+_TRAJECTORY_WAIT_S: Final = 1.5  # longest wait for a trajectory after a contact; two answers fit into it
+_NEAR_S: Final = 0.3  # time before the planned impact from which a missing contact is checked
+_NOTHING_MET_S: Final = 0.3  # PX4 reaches the end of a probe's line this much later than the setpoint
 _RUN_UP_US: Final = 5_000_000  # typical time from the beginning of the transit to the impact
 _REST_TIMEOUT_US: Final = 4_000_000
 _REST_AFTER_US: Final = 500_000
-_LEFT_SHARE: Final = 0.5  # the next leg begins when at most this fraction of a probe's retreat remains
-_RETRY_US: Final = 1_000_000  # period of retries; telemetry of mode and arming lags by up to a second
+_LEFT_SHARE: Final = 0.5  # a retreat after a probe ends when this fraction of its distance is left
+_RETRY_US: Final = 1_000_000  # period of repeated commands; telemetry confirms them up to a second later
 _EVENTS: Final = frozenset({PlanAnswer, OperatorRequest})
 
 
@@ -121,7 +121,7 @@ class Executive:
             p.outputs.append(permission)
         step = self._steps.get(progress.phase)
         if step is not None and not (p.frame is not None and progress.anchors is not None and sensed.wall):
-            step(state, sensed, p)  # skipped after a frame correction: the state is still in the old frame
+            step(state, sensed, p)  # not after a frame correction: the state is still in the old frame
         p.expected = progress.expected = self._impacts.expected(progress, state)
         p.altitude_m = progress.course.altitude_m
         if type(item) is OdometrySample:
@@ -372,7 +372,7 @@ class Executive:
         self.progress.course = self.progress.course.fly_to(begin[:2], self._flying)
 
     def _replan_approach(self, collision: Collision, state: FlightState, p: Proposal) -> None:
-        """Plan the approach to a wall's estimated position; a probe without `from_here` keeps its line."""
+        """Plan the approach to a wall's estimated position; only a probe with `from_here` gets a new line."""
         if collision.trajectory is not None:
             return
         then_us = state.now_us + _RUN_UP_US
@@ -500,7 +500,7 @@ class Executive:
         if rests or (following is not None and following.approach_m_s is not None):
             elapsed_us = self.progress.elapsed_us(state)
             rested = elapsed_us > _REST_AFTER_US and self._arrival.is_slow(state)
-            if probe is not None:  # PX4's integrators may still tilt the vehicle after a slow contact
+            if probe is not None:  # a slow vehicle may still move, because PX4's integrators tilt it
                 left_m = distance2(state.position, self.progress.course.target)
                 rested = rested and left_m < _LEFT_SHARE * probe.back_m
             if rested or elapsed_us > _REST_TIMEOUT_US:
@@ -527,7 +527,7 @@ class Executive:
     def _check_lock_in_time(
         self, following: Collision, state: FlightState, sensed: Sensed, p: Proposal
     ) -> None:
-        """Report a finding if the lock is late and a hold can no longer stop the vehicle with margin."""
+        """Report a finding if the lock is late, a hold stops too late, and the vehicle may not commit."""
         if sensed.in_contact or state.lock_is_in(following.mode):
             return
         closing = -following.wall.to_collision(state.velocity)[0]
@@ -566,15 +566,15 @@ class Executive:
             progress.least_miss_m = math.inf
 
     def _watch_goal(self, state: FlightState, p: Proposal, timed_out: bool) -> None:
-        if self.progress.lock.contact_end_us is None:  # still in contact; the detector ends a long contact
+        if self.progress.lock.contact_end_us is None:  # not ended; the detector limits its duration
             return
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # the trajectory may first lead away
+            passed = self.progress.replan.is_over(state.now_us)  # its distance to the goal may first grow
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
-            # A trajectory is expected, so wait longer.
+            # If the mission has a trajectory to the goal, allow time for its replanned version.
             after_s = PASSED_AFTER_S if self.mission.goal_trajectory is None else _TRAJECTORY_WAIT_S
             passed = rising and self.progress.takes_longer_than(after_s, state)
         if passed or timed_out:
@@ -583,7 +583,7 @@ class Executive:
             self._transition(PhaseTrigger.PASSED if passed else PhaseTrigger.TIMED_OUT, state, p)
 
     def _head_for_goal(self, state: FlightState, distance_m: float) -> None:
-        """Command the goal as a step; if the step would exceed the transit speed, fly a transit instead."""
+        """Command the goal as a step, or fly a transit if a step would be faster than the transit speed."""
         vehicle, goal, course = self.mission.vehicle, self.mission.goal.position_m, self.progress.course
         if vehicle.px4.mpc_xy_p * distance_m > vehicle.flying.transit_speed_m_s:
             self.progress.course = course.hold(state.position).fly_to(goal, self._flying)

@@ -26,7 +26,7 @@ class GroundPhases:
 
     def ready(self, progress: MissionProgress, state: FlightState) -> Change:
         """Wait for telemetry, the lock and a sufficiently accurate position."""
-        # If PX4 does not report the accuracy, the accuracy is not checked.
+        # PX4 may not report a standard deviation; this check then passes.
         mode, sd = self._mission.transit_mode, state.position_sd_m or 0.0
         judged = self._mission.collisions and progress.anchors is None
         limit = self._mission.vehicle.guard.position_sd_m if judged else math.inf

@@ -17,8 +17,7 @@ from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
 _MOST_TORQUE: Final = 0.15  # normalised torque that PX4 reserves for yaw when motors saturate
-# Fractions of the torque: `_SURE` is available in any flight, `_BRAKING` is used to brake; the rest is
-# margin.
+# Fractions of the yaw torque: `_SURE` is available in any flight, `_BRAKING` is assumed for braking.
 _SURE: Final = 0.85
 _BRAKING: Final = 0.5
 _STEP_S: Final = 0.02
@@ -31,7 +30,7 @@ class Heading(NamedTuple):
     Attributes:
         yaw: desired heading, after rate limiting.
         before: desired heading before the first contact.
-        asked: heading to command instead of `yaw` while the vehicle returns after a contact.
+        asked: heading to command while the vehicle returns to `yaw` after a contact; otherwise None.
         integral: estimate of what PX4's yaw integrator has accumulated since the contact, normalised torque.
     """
 

@@ -26,13 +26,13 @@ from dart_flight.core.mission.wall_uncertainty import early_m
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_BOUNCES_US: Final = 1_000_000  # in this time after an impact, PX4 may tilt the vehicle into the wall again
+_BOUNCES_US: Final = 1_000_000  # time after an impact in which a second contact with the wall is a bounce
 _ANY_WALL: Final = ExpectedContact(watching=True)
 _NO_WALL: Final = ExpectedContact()
 
 
 class ImpactResponse:
-    """Responses to the detector's events, and the expected contact.
+    """Responses of the mission to the detector's events; it also supplies the contact to expect next.
 
     A rehearsal plans no contact.
     """

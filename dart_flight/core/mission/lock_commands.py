@@ -13,11 +13,11 @@ from dart_flight.config.vehicle import LockConfig
 from dart_flight.core.sense.state import FlightState
 
 RETRY_US: Final = 1_000_000
-_OVERDUE_US: Final = 50_000  # after this delay, two polls, the lock is overdue
+_OVERDUE_US: Final = 50_000  # two polls of the lock; a lock that settles later than this is overdue
 
 
 class LockCommandState(NamedTuple):
-    """State of the commands to the lock; the lock's own state is separate. Times are autopilot time.
+    """State of the commands to the lock. It does not contain the lock's own state. Times are autopilot time.
 
     Attributes:
         contact_begin_us, contact_end_us: times of the last contact; the end is None during a contact.

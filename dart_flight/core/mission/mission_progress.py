@@ -19,11 +19,11 @@ from dart_flight.core.mission.wall_uncertainty import EstimatedWalls
 from dart_flight.core.sense.detector import ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-_SLOWEST: Final = 3.0  # host seconds per vehicle second in the slowest simulation
+_SLOWEST: Final = 3.0  # the slowest simulation needs this host time for one second of the vehicle, s
 
 
 class MissionProgress:
-    """Phase, leg, course, contacts and walls of one flight.
+    """State of the mission in one flight: phase, leg, course, contacts and walls.
 
     Attributes:
         entered_us, entered_host_us: beginning of the phase, autopilot and host time.

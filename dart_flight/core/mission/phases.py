@@ -70,7 +70,7 @@ TRANSITIONS: dict[tuple[Phase, PhaseTrigger], Phase] = {
     (Phase.OVERRULED, PhaseTrigger.LANDED): Phase.DONE,
 }
 
-DOWN_US = 200_000  # landed and disarmed must last this long, because one report may come from another vehicle
+DOWN_US = 200_000  # a shorter report of landed and disarmed may be another vehicle's
 ON_GROUND = frozenset({Phase.READYING, Phase.OFFBOARD, Phase.ARMING})
 ALTITUDE_EXEMPT = ON_GROUND | {Phase.CLIMB, Phase.LANDING, Phase.DONE}
 BETWEEN = frozenset({Phase.WAYPOINT, Phase.PAUSE})  # between collisions

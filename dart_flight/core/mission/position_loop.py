@@ -23,7 +23,7 @@ from dart_flight.core.mission.wall_uncertainty import position_margin_m
 ATTITUDE_LAG_S = 0.15
 
 
-STOP_TIME_S = 0.5  # stopping distance of the loop, divided by the speed
+STOP_TIME_S = 0.5  # ratio of the loop's stopping distance to the speed
 _STEP_S = 0.01
 _BEHIND_M = 0.3  # a vehicle farther behind the plane is on the wall's other side
 
@@ -68,7 +68,7 @@ class PositionLoop(NamedTuple):
 
 
 class PlaneImpact(NamedTuple):
-    """Predicted impact with a plane: time from now, and velocity along the outward normal, negative."""
+    """Predicted impact with a plane: time from now, and the (negative) velocity along the outward normal."""
 
     after_s: float
     normal_m_s: float
@@ -82,7 +82,7 @@ def predict_impact(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> PlaneImpact | None:
-    """Predict the impact with a plane on the way to a setpoint, or None if none occurs in `horizon_s`.
+    """Predict when a vehicle that flies to a setpoint hits a plane; None if not within `horizon_s`.
 
     The arguments are those of `least_distance_m`.
     """
@@ -107,7 +107,7 @@ def least_distance_m(
     px4: Px4Parameters,
     horizon_s: float = 2.0,
 ) -> float:
-    """Predict the smallest signed distance between a plane and a vehicle that flies to a setpoint.
+    """Predict the smallest signed distance from a plane while the vehicle flies to a setpoint.
 
     If the distance only increases, this is the current distance. `target_distance_m` is the distance of the
     setpoint from the plane; speed and acceleration are positive towards the plane.

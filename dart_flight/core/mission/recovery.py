@@ -15,7 +15,7 @@ from typing import Final
 from dart_flight.base.arithmetic import Number
 from dart_flight.base.geometry import Vec2
 
-# Flight and planner count the goal as passed once the distance to the goal has risen by more than its noise.
+# Flight and planner regard the goal as passed once its distance has risen by `PASSED_RISE_M`, above noise.
 # The first moments after a contact do not count, because the direction of the motion is not yet clear.
 PASSED_RISE_M: Final = 0.03
 PASSED_AFTER_S: Final = 0.25

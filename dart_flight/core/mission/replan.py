@@ -12,13 +12,13 @@ from dart_flight.core.sense.state import FlightState
 
 
 class Replan(NamedTuple):
-    """Requests to the planner, and the trajectory that is flown; times are autopilot time.
+    """State of one flight's requests to the planner, with the trajectory in flight; times are autopilot time.
 
     Attributes:
         number, tries: number of requests in this flight, and since the last contact.
         has_wall_estimate: whether the last contact has produced an estimate of its wall.
         request: the request that an answer must match.
-        answer: accepted answer that is not flown yet.
+        answer: accepted answer whose trajectory has not begun; otherwise None.
         from_rest: whether the request was for an approach from rest.
         trajectory, begin_us: the active trajectory and its start time.
         ends_leaning: whether the trajectory ends with the tilt that the impact needs, like the mission's own

@@ -24,8 +24,8 @@ from dart_flight.core.mission.wall_uncertainty import late_s
 from dart_flight.core.sense.senses import Sensed
 from dart_flight.core.sense.state import FlightState
 
-_FELT_WITHIN_US = 150_000  # longest wait for a fit: three times its latency (docs/contact_fit.md)
-# A request along a trajectory: minimum time since the previous request, and until the trajectory's end.
+_FELT_WITHIN_US = 150_000  # longest wait for a contact's fit; a fit takes a third (docs/contact_fit.md)
+# A request is repeated only at this age, and only this long before the trajectory's end.
 _AGAIN_US, _NOT_AGAIN_US = 300_000, 400_000
 _HELD_TO_M = 0.2
 _TRIES = 6  # limit of the requests for a trajectory after one contact
@@ -100,7 +100,7 @@ class ReplanRequests:
         return Change(outputs=(asked,), replan=replan)
 
     def _should_wait_for_wall(self, progress: MissionProgress, replan: Replan, state: FlightState) -> bool:
-        """Return whether the estimate of the last wall is worth waiting for.
+        """Return whether to delay a request until the last contact's wall is estimated.
 
         The wait is worthwhile if the vehicle hits that wall again next. The wait is also worthwhile if
         contacts correct the frame, because a trajectory in the old frame would begin at the wrong point.

@@ -18,22 +18,22 @@ from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, Setpoi
 from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
-_COASTING_S: Final = 0.25  # longest coasting before an impact: the attitude's response time
+_COASTING_S: Final = 0.25  # for this time before an impact, errors across the wall are not corrected
 _COASTS_US: Final = 500_000  # longest coasting after a contact; allows for the answer to a second request
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})
 # Phases that begin with a trajectory to the target; a rehearsal adds the recovery.
 _UNDERWAY: Final = frozenset({Phase.CLIMB, Phase.WAYPOINT, Phase.TRANSIT, Phase.APPROACH, Phase.GOAL})
-_OFF_TIME_S: Final = 0.1  # largest correction for an impact that is earlier or later than planned
+_OFF_TIME_S: Final = 0.1  # an impact's deviation from its planned time is corrected up to this limit
 _CLOSES_M_S: Final = 0.3
-# [ours] Fraction of the attitude's delay without compensation by the jerk term; chosen on six PX4 seeds.
+# [ours] Fraction of the attitude's delay that the jerk term does not compensate, chosen with six PX4 seeds.
 _STRAIGHT_SHARE: Final = 0.5
 _NONE: Vec3 = (0.0, 0.0, 0.0)
 
 
 class SetpointSelection:
-    """Selects the setpoint for every odometry sample of a flight."""
+    """Rules that select the setpoint for every odometry sample of a flight."""
 
     def __init__(self, mission: Mission) -> None:
         vehicle = mission.vehicle
@@ -45,7 +45,7 @@ class SetpointSelection:
         self._underway = _UNDERWAY | {Phase.RECOVERY} if rehearsed else _UNDERWAY
         # Missions along trajectories leave no time to come to rest between impacts.
         self._control = None if mission.goal_trajectory is None else HeadingControl(vehicle)
-        # Trajectories after contacts, by the collision that they lead to; None is the goal.
+        # Trajectories after a contact, by the index of the collision at their end; None is the goal.
         self._written = {
             index: Trajectory.from_mission(pieces, mission.altitude_m)
             for index, pieces in (
@@ -58,7 +58,7 @@ class SetpointSelection:
     # -- heading --
 
     def wanted_yaw(self, progress: MissionProgress, state: FlightState) -> float:
-        """Return the phase's desired heading: parallel or square to the next wall."""
+        """Return the phase's desired heading; before a wall, one side is parallel to the wall."""
         collision, phase, heading = progress.collision, progress.phase, progress.heading
         led_back = self._control is not None and phase is Phase.RECOVERY
         if collision is None or not (led_back or phase in TO_IMPACT):
@@ -239,7 +239,7 @@ class SetpointSelection:
         return Reference(flown.position, v, push)
 
     def _free_axes(self, frame: MissionFrame, sample: OdometrySample, along: tuple[Vec2, ...]) -> FreeAxes:
-        """Return the axes to leave free, and the vehicle's motion when PX4 will execute the setpoint."""
+        """Return the free axes, with the motion predicted for the time at which PX4 executes the setpoint."""
         velocity = frame.vector_from_ned(sample.velocity_ned)
         position = frame.point_from_ned(sample.position_ned)
         return FreeAxes(along, add(position, scale(velocity, self._delay_s)), velocity)

@@ -19,9 +19,9 @@ from dart_flight.base.walls import Wall
 from dart_flight.config.vehicle.flying import GuardThresholds
 from dart_flight.core.mission.anchors import FrameAnchors
 
-SURE_SD = 3.0  # number of standard deviations that approaches allow for
+SURE_SD = 3.0  # approaches stay clear of a wall at up to this many standard deviations
 _MIN_CLOSING_M_S = 0.1
-_SURE_DIRECTION_RAD = 0.05  # a direction with a larger standard deviation does not change the heading
+_SURE_DIRECTION_RAD = 0.05  # a less certain estimate of a wall's direction does not change the heading
 
 
 def position_margin_m(wall: Wall, place: tuple[Number, ...]) -> Number:
@@ -96,7 +96,7 @@ class EstimatedWalls:
             self._found[name] = wall.displaced(-(by[0] * wall.normal[0] + by[1] * wall.normal[1]))
 
     def known_walls(self, walls: Iterable[Wall], now_us: int) -> tuple[Wall, ...]:
-        """Return the mission's walls and those found by probes, in their estimated positions."""
+        """Return the mission's walls and the walls that probes have found, at their estimated positions."""
         known = {wall.name: wall for wall in walls}
         return tuple(self.known_wall(wall, now_us) for wall in (known | self._found).values())
 
@@ -124,7 +124,7 @@ def _updated_wall(before: Wall, written: Wall, estimate: WallEstimate) -> Wall:
         estimate.plane_normal_mission,
     )
     figures = written.position_sd_m is not None or written.yaw_sd_rad is not None
-    if place is None or normal is None:  # the contact gives an offset from the assumed plane
+    if place is None or normal is None:  # the contact gives only the plane's offset
         sd_m = None if written.position_sd_m is None else min(written.position_sd_m, sure_m)
         return msgspec.structs.replace(before.displaced(estimate.plane_offset_m), position_sd_m=sd_m)
     if not (figures or written.sought):  # shift the mission's plane; the plane's direction is assumed exact

@@ -16,19 +16,19 @@ from dart_flight.base.filters import VarianceEstimate, average_weight
 from dart_flight.base.geometry import GRAVITY_M_S2, Vec2, Vec3
 from dart_flight.config.vehicle import Estimation
 
-# Below both limits the vehicle hovers. Speed would add drag to the bias, and rotation lever-arm terms.
+# Below both limits the vehicle hovers. Otherwise drag and lever-arm terms would disturb the bias.
 HOVER_SPEED_M_S: Final = 0.4
-HOVER_RATE_RAD_S: Final = 0.3  # limit of the sum of the body rates' magnitudes
+HOVER_RATE_RAD_S: Final = 0.3  # limit of the sum of the three body rates' magnitudes
 LEARNING_S: Final = 2.0  # time constant of bias and thrust scale, longer than any contact
 BIAS_LIMIT_M_S2: Final = 0.4  # limit per axis; PX4 has already removed most of the bias
-THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations; the mass contributes 3 %, the battery 5 %
-BASELINE_S: Final = 0.25  # time constant: wind and thrust errors are slower, and contacts are shorter
+THRUST_SCALE_LIMIT: Final = 0.25  # 4.3 standard deviations: 3 % from the mass, 5 % from the battery
+BASELINE_S: Final = 0.25  # time constant, faster than wind and thrust errors, longer than contacts
 _NOISE_TIME_S: Final = 0.5
 _MIN_NOISE2: Final = 1e-4  # m2/s4
 _SCALE_STEP: Final = 0.25
-_LEARNT: Final = 0.4  # fraction of a low-pass's final value that is reached after half a time constant
-_BASELINE_DELAY: Final = 10  # delay in samples: within 40 ms even a slow contact reaches the threshold
-_BASELINE_STEP_N: Final = 2.0  # limit of the difference that sets the baseline's rate
+_LEARNT: Final = 0.4  # a low-pass reaches this fraction in half a time constant; needed for `thrust_ratio`
+_BASELINE_DELAY: Final = 10  # delay in samples, 40 ms; a slow contact reaches the threshold sooner
+_BASELINE_STEP_N: Final = 2.0  # largest difference that the baseline follows proportionally
 
 
 class HoverBias:
@@ -93,7 +93,7 @@ def _bounded(value: float, most: float) -> float:
 
 
 class ForceBaseline:
-    """Slow horizontal force, mission frame, newton, limited in size.
+    """Estimator of the slow horizontal force, mission frame, newton, up to `baseline_limit_n`.
 
     The detector subtracts `value` before it compares a force with a threshold. `value` is some samples old,
     so the start of a contact is not subtracted from the contact itself.

@@ -16,7 +16,7 @@ from dart_flight.base.geometry import MissionFrame, rotate_back
 from dart_flight.base.records import ContactRequest
 
 _LEAST_N: Final = 3.0  # minimum normal force of a sample that counts
-_LEAST_N2: Final = 1000.0  # minimum sum of the squared forces: a few samples of a contact at 0.5 m/s
+_LEAST_N2: Final = 1000.0  # minimum sum of squared forces; a contact at 0.5 m/s reaches it in a few samples
 
 
 class ContactHeight:

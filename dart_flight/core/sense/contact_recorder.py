@@ -30,14 +30,14 @@ from dart_flight.config.vehicle import VehicleConfig
 from dart_flight.core.sense.detector import Events, ExpectedContact
 from dart_flight.core.sense.state import FlightState
 
-ANSWER_WITHIN_US: Final = 300_000  # timeout of a fit; an approach from rest is planned after this time
+ANSWER_WITHIN_US: Final = 300_000  # timeout of a fit; approaches from rest are planned later than this
 _BEFORE: Final = 4  # samples kept before the first sample above the noise
 _MAX: Final = 160  # limit of the samples kept for a contact
 # Standard deviation of a plane located by the onset alone. Detection is late, and the body is not round.
 _MET_SD_M: Final = 0.03
 
 
-# The estimates of one IMU sample, with attitude and body rate.
+# One IMU sample of a contact: force, torque, attitude and body rate.
 _Sample = tuple[ForceEstimate, TorqueEstimate, Quaternion, Vec3]
 
 

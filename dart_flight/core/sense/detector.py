@@ -30,26 +30,26 @@ from dart_flight.core.sense.window import WindowMean, half_sine_share
 
 RELEASE_FRACTION: Final = 0.4  # a contact ends below this fraction of the threshold
 PEAK_DROP_FRACTION: Final = 0.12  # drop, as a fraction of the top, that ends the search for the peak
-CONTACT_END_S: Final = 0.012  # time below the release level; three samples, because one may be noise
-SURE_SIGMA: Final = 2.5  # one sample suffices if it exceeds the threshold by this many standard deviations
+CONTACT_END_S: Final = 0.012  # a contact ends after this time below the release level: three samples
+SURE_SIGMA: Final = 2.5  # one sample detects if it exceeds the threshold by this many deviations
 SHORT_WINDOW_S: Final = 0.032  # window whose mean keeps 85 % of the peak of rigid contacts (46 to 54 ms)
 LONG_WINDOW_S: Final = 0.1  # window whose mean keeps 83 % of the peak of flexible contacts (145 to 183 ms)
-PULSE_MISFIT: Final = 3.0  # mean square of the normalised residuals above which the model does not fit
-_RISE_SHARE: Final = 0.3  # earlier samples above this fraction of the threshold belong to the contact
+PULSE_MISFIT: Final = 3.0  # the model does not fit if normalised residuals have a larger mean square
+_RISE_SHARE: Final = 0.3  # samples before the onset also count above this fraction of the threshold
 _PEAK_DROP_SHARE: Final = 0.25  # a drop below this fraction of the threshold is noise
 _DROP_SIGMA: Final = 2.5  # a drop below this many standard deviations of the smoothed force is noise
-_SMOOTH_SHARE: Final = 0.02  # limit of the averaged samples' noise, as a fraction of the top
+_SMOOTH_SHARE: Final = 0.02  # enough samples are averaged that their noise is below this fraction of the top
 _MAX_SMOOTH: Final = 5
 _TOP_SHARE: Final = 0.7  # samples above this fraction of the maximum form the top of the pulse
-_TOP_REACH: Final = 4  # largest number of samples of the top before the maximum, and after it
+_TOP_REACH: Final = 4  # the top has at most this many samples on each side of the maximum
 _BEFORE: Final = 8  # samples kept before the crossing
-_FAR_SIGMA: Final = 4.6  # two samples in a row suffice if threshold / noise is at least this ratio
-# Margin on the thresholds of one and two samples, because noise crosses these thresholds more often.
+_FAR_SIGMA: Final = 4.6  # two samples suffice, not three, if threshold / noise is at least this ratio
+# Added to `noise_sigma` for one and two samples, whose noise has more chances to cross a threshold.
 _SHORT_SIGMA: Final = 1.0
 _MARGIN_SIGMA: Final = 1.0  # detection is guaranteed this many standard deviations above the threshold
-_NOISY_BASELINE: Final = 0.4  # relative rate under vibration; a faster baseline would follow the vibration
+_NOISY_BASELINE: Final = 0.4  # factor on the baseline's rate under vibration, which it must not follow
 _LONGEST_CONTACT_S: Final = 0.5  # a contact counts as ended after this time, because noise may hide its end
-_INTO_WALL: Final = 0.1  # fraction of the force that may point into the expected wall at the onset
+_INTO_WALL: Final = 0.1  # part of a planned onset's force that may point into the wall, from noise
 
 
 class ExpectedContact(NamedTuple):
@@ -244,7 +244,7 @@ class ImpactDetector:
         best = math.inf
         for i, threshold in enumerate(self.thresholds_n()):
             if i >= 2 and self.thresholds_n()[i - 1] <= self._config.force_threshold_n:
-                break  # longer windows are not in use
+                break  # the configured threshold is usable, so longer windows are not in use
             lifted = threshold + _MARGIN_SIGMA * self._windows[i].noise_n
             share = half_sine_share(self._held[i], duration_s, self._tick_us * 1e-6)
             if share > 0.0:
@@ -253,7 +253,7 @@ class ImpactDetector:
 
     @property
     def noise_n(self) -> tuple[float, float]:
-        """Learnt standard deviations of the short and of the long window's mean, per component, newton."""
+        """Learnt noise of the force averaged over the short and the long window, per axis, newton."""
         return (self._windows[2].noise_n, self._windows[3].noise_n)
 
     def _report_floor(self, t_us: int, expected: ExpectedContact) -> Events:

@@ -21,7 +21,7 @@ from dart_flight.core.sense.vehicle_motion import VehicleMotion
 
 ATTITUDE_ERROR_RAD: Final = 0.01  # standard deviation of PX4's attitude
 FILTER_S: Final = 0.02  # time constant of the filtered force, which is for display only
-_CLIP_SHARE: Final = 0.99  # a reading above this fraction of full scale is a lower bound
+_CLIP_SHARE: Final = 0.99  # a reading above this fraction of full scale counts as clipped
 
 
 class ForceEstimator:

@@ -22,11 +22,11 @@ from dart_flight.base.geometry import GRAVITY_M_S2, Vec3
 Momenta = deque[tuple[int, float, float, float]]
 
 _STEP_US: Final = 50_000  # step: longer than an IMU tick, shorter than the estimate's oscillations
-_NEAR, _FAR = 6, 12  # steps: the acceleration is the mean from 0.6 s to 0.3 s ago
+_NEAR, _FAR = 6, 12  # z is the mean acceleration between these numbers of steps ago: 0.3 s and 0.6 s
 _HIGH_PASS_S: Final = 0.5
 _MEMORY_S: Final = 4.0  # time constant of covariance and variance, about the duration of one manoeuvre
 _JUMP_M_S: Final = 0.15  # a larger change in one step is an estimator reset, which other rules detect
-# A pose acts on the output through two filters, so the regression yields this fraction of the delay.
+# Two filters lie between a pose and the output, so the regression yields only this fraction of the delay.
 _SHARE: Final = 0.75
 # Minimum variance of z in `figures`, (m/s2)^2 s, and minimum correlation. Pose fusion corrects accelerometer
 # noise late. This looks like a lagging estimate, with correlations up to 0.7 (docs/results/px4_versions.md).
@@ -35,7 +35,7 @@ _MOTION, _AHEAD, _BEHIND = 0.2, 0.6, 0.8
 
 
 class PositionDelay:
-    """Regression of the estimate's velocity error on past acceleration.
+    """Estimator of PX4's position delay: a regression of PX4's velocity error on past acceleration.
 
     After a disturbance, no samples are compared for `window_s`.
 

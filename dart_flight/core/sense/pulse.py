@@ -183,7 +183,7 @@ class _PulseFit:
         self.sigma = min(prior.sigma, 0.7 * self.omega)
         self._curvature: list[list[float]] = []  # lower triangle of the normal equations
         self._gradient: list[float] = []
-        self._used, self._squares = 0, 0.0  # readings that constrain the fit, and their squared residuals
+        self._used, self._squares = 0, 0.0  # readings that constrain the fit: number, squared residuals
 
     def run(self, onset_s: float) -> bool:
         """Minimise the squares; return False if the iteration fails."""
@@ -283,7 +283,7 @@ class _PulseFit:
         try:
             _, x, y = _solve(self._curvature, [0.0, fs, dw])
         except ValueError:
-            return None  # no reading limits the peak
+            return None  # the readings do not determine the peak
         variance = (fs * x + dw * y) * max(1.0, self._cost / max(1, freedom - 3))
         top = peak * (1.0 + 0.5 * (omega * lag_s) ** 2)
         misfit = math.sqrt(self._squares / max(1, freedom)) / peak
@@ -385,7 +385,7 @@ def _tangential(
     tick.
     """
     kappa = math.exp(log_kappa)
-    unit, driven = 1.0, 0.0  # response to the speed at the onset, and to the push
+    unit, driven = 1.0, 0.0  # response to an onset speed of 1, and to the push
     sxx = sxy = syy = 0.0
     for h, reading, impulse in ticks:
         left = math.exp(-kappa * impulse)

@@ -41,7 +41,7 @@ IMPACT_WINDOW_S: Final = 2.0
 
 
 class Sensed(NamedTuple):
-    """The results of one input.
+    """Results of the senses for one input.
 
     Attributes:
         estimate: external force, or None if the input yields none.

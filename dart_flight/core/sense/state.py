@@ -29,7 +29,7 @@ from dart_flight.base.records import (
 from dart_flight.base.stamps import LEAP_US, LeapFilter
 
 _SEVERE: Final = frozenset({"emergency", "alert", "critical", "error", "warning"})
-_TEXT_AGE_US: Final = 15_000_000  # older texts of PX4 are not given as reasons
+_TEXT_AGE_US: Final = 15_000_000  # texts of PX4 are given as reasons for at most this time
 _MAX_REASONS: Final = 6
 _FURTHEST_M: Final = 1e5  # limit of a plausible position in PX4's local frame
 _FASTEST_M_S: Final = 1e3
@@ -176,7 +176,7 @@ class FlightState:
         self.host_us = max(self.host_us, tick.host_us)
         if self.clock_offset_us is not None:
             now_us = self.host_us + self.clock_offset_us
-            if self._stamp_us:  # limit the advance, because the offset may be another vehicle's
+            if self._stamp_us:  # the clock offset may be another vehicle's, so limit the advance
                 now_us = min(now_us, self._stamp_us + self.host_us - self._stamped_us + LEAP_US)
             self.now_us = max(self.now_us, now_us)
 
@@ -285,13 +285,13 @@ class FlightState:
         found += self._recent(self._px4_texts)
         others = () if self.health is None else self.health.others
         found = list(dict.fromkeys(found))[:_MAX_REASONS]
-        # Faults of other modes may be the cause: without a position there is no offboard signal.
+        # A fault of another mode may be the cause: without a position, PX4 also lacks offboard signal.
         also = [word for word in others if word not in found][:_MAX_REASONS]
         if found:
             return f"{here}; PX4 reports: " + ", ".join(found) + ("; also " + ", ".join(also) if also else "")
         answer = self._refused.get(command or "")
         answered = f"{here}; PX4 answers: {answer}" if answer else here
-        if also:  # these faults may not be the reason, but an older PX4 reports nothing else
+        if also:  # possibly not the reason, but all that an older PX4 reports
             return f"{answered}; PX4 gives no reason, but reports: " + ", ".join(also)
         return answered
 

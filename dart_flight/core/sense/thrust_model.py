@@ -21,7 +21,7 @@ Each = tuple[float, ...]  # one value per motor
 
 # `auto` ignores motor speeds with a longer period, because switching sources would look like a force.
 _ESC_PERIOD_US: Final = 20_000
-_PENDING: Final = 16  # limit of the number of commands newer than the IMU sample; normally a few
+_PENDING: Final = 16  # largest number of stored commands that are newer than the IMU sample
 
 
 class LaggedCommands:

@@ -22,8 +22,8 @@ from dart_flight.core.sense.angular_motion import AngularMotion
 from dart_flight.core.sense.thrust_model import Each
 
 _NOISE_TIME_S: Final = 0.5
-_THIRD: Final = 1.0 / 3.0  # a first difference of white noise has twice its variance, a second one six times
-_ADDED: Final = 1e-10  # increment of the variance per sample, N2 m2
+_THIRD: Final = 1.0 / 3.0  # white noise: variance of a first difference / variance of a second one
+_ADDED: Final = 1e-10  # added to the learnt variance at each sample, N2 m2
 _SLOW_S: Final = 1.0  # time constant of the estimate of the constant torque
 _MAX_SLOW_NM: Final = 0.3  # limit of the constant torque
 

@@ -20,7 +20,7 @@ from dart_flight.core.sense.bias import HoverBias
 from dart_flight.core.sense.state import FlightState
 from dart_flight.core.sense.thrust_model import ThrustModel
 
-_ATTITUDE_REACH_US: Final = 60_000  # largest age of an attitude that is extrapolated
+_ATTITUDE_REACH_US: Final = 60_000  # an attitude older than this is not extrapolated
 _HISTORY: Final = 32
 _MOMENTA: Final = 40  # momenta kept: 0.16 s
 _MOMENTUM_GAP_S: Final = 0.05

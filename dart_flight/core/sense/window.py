@@ -20,15 +20,15 @@ from dart_flight.base.geometry import Vec2
 _QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
-_ASSUMED: Final = 5  # weight of the initial noise, in samples
-_DELAY: Final = 10  # samples before a mean is learnt, so that an onset can discard a contact's start
+_ASSUMED: Final = 5  # the initial noise counts as this many samples
+_DELAY: Final = 10  # a mean is learnt this many samples later, unless an onset discards it
 
 
 class WindowMean:
-    """Mean of the horizontal force over the newest `length_s`, and the learnt deviation of that mean.
+    """Mean of the horizontal force over the newest `length_s`, with the learnt noise of that mean.
 
     Args:
-        length_s: 0 for a single sample.
+        length_s: averaging time; 0 if the newest sample alone is the mean.
         noise_n: initial standard deviation of one sample of one axis; the noise is assumed white.
         samples: number of samples in the window at the IMU's nominal rate.
 
@@ -103,5 +103,5 @@ def half_sine_share(samples: int, duration_s: float, period_s: float) -> float:
     """
     x = 0.5 * math.pi * period_s / duration_s
     if x >= 0.5 * math.pi:
-        return 0.0  # the half-sine may fall between two samples
+        return 0.0  # in the worst case, no sample falls into the half-sine
     return math.sin(min(samples * x, 0.5 * math.pi)) / (samples * math.tan(x))
