@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-Number = Any  # float or array of floats; in one call, either all arguments are floats or all are arrays
+Number = Any  # a float or an array of floats; the arguments of one call are all of the same kind
 
 
 def hypot(x: Number, y: Number) -> Number:

@@ -7,7 +7,7 @@ from typing import Final
 
 from dart_flight.base.geometry import Vec3
 
-_MAX_STEP_S: Final = 0.05  # limit of the time that one sample represents after a gap in the stream
+_MAX_STEP_S: Final = 0.05  # after a gap in the stream, a sample represents at most this time
 _OUTLIER: Final = 9.0  # a square is clipped at this multiple of the current variance
 
 
@@ -42,7 +42,7 @@ class LowPass:
 
 
 class VarianceEstimate:
-    """Running estimate of a noise variance: the mean of the squares that `update` receives.
+    """Running estimate of a noise variance, as a weighted mean of the squares that `update` receives.
 
     A square far above the variance is clipped first. The variance is never below `least`, because some noise
     is always possible. Every update also adds `added` to the variance.

@@ -8,8 +8,8 @@ Frames (`docs/concepts.md`):
 * collision frame of a wall: X outward normal, Y to the right when looking along X, Z = X x Y. Walls are
   vertical, so Z points down.
 
-Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). For three numbers, scalar arithmetic
-is deterministic and faster than arrays. Walls, with their collision frame, are in `walls`.
+Vectors are plain tuples of floats; quaternions are tuples (w, x, y, z). With only three numbers, scalar
+arithmetic is faster than arrays, and it is deterministic. Walls, with their collision frame, are in `walls`.
 """
 
 from __future__ import annotations
@@ -204,7 +204,7 @@ def quaternion_from_intrinsic_xyz(x_rad: float, y_rad: float, z_rad: float) -> Q
 
 
 def quaternion_from_matrix(columns: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation matrix, whose columns follow each other, as sent by Qualisys (QTM).
+    """Return the quaternion of a rotation matrix, given column by column, as Qualisys (QTM) sends it.
 
     A matrix that is not a rotation raises ValueError.
     """
@@ -316,7 +316,7 @@ class RoomFrame:
 
     Args:
         y_up: whether the room's y axis points up; if not, the z axis points up.
-        heading_rad: direction of the room's x axis (z axis if y is up), clockwise from north.
+        heading_rad: direction of the room's x axis, or of its z axis if y is up, clockwise from north.
         body_offset_m: position of the vehicle's centre in the axes of the marker body.
         body_yaw_rad: direction of the vehicle's nose in the marker body, counter-clockwise from the body's
             forward axis.

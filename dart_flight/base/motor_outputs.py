@@ -12,8 +12,8 @@ import msgspec
 
 from dart_flight.base.records import MOTOR_FULL_US, MOTOR_STOP_US
 
-SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # limits of an armed PWM output
-_STOPPED = 1.0  # UAVCAN_EC_MIN, the output to an armed motor that does not turn
+SHORTEST_PULSE_US, LONGEST_PULSE_US = 800.0, 2200.0  # pulse widths of an armed PWM output lie between these
+_STOPPED = 1.0  # UAVCAN_EC_MIN: output to a motor that is armed but stands still
 
 
 class OutputScale(msgspec.Struct, frozen=True):
@@ -36,7 +36,7 @@ class OutputScale(msgspec.Struct, frozen=True):
 PWM = OutputScale("PWM", MOTOR_STOP_US, MOTOR_FULL_US, " us")
 DSHOT = OutputScale("DShot", 0.0, 1999.0)
 UAVCAN = OutputScale("UAVCAN", 0.0, 8191.0)
-SHARE = OutputScale("", 0.0, 1.0)  # scale of the motor outputs in a simulation's log
+SHARE = OutputScale("", 0.0, 1.0)  # a simulation logs throttles from 0 to 1
 
 
 def identify_scale(lowest: float, highest: float) -> OutputScale | None:
@@ -69,7 +69,7 @@ class MotorOutputDecoder:
         self.scale: OutputScale | None = None
 
     def decode(self, outputs: Sequence[float | None], airborne: bool) -> tuple[float, ...] | str:
-        """Return the throttle of each motor, or the reason why the motors cannot be on these outputs.
+        """Return the throttle of each motor, or why these outputs cannot belong to the motors.
 
         In `outputs`, None stands for an output without a value.
         """

@@ -16,11 +16,11 @@ from typing import IO, NoReturn
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-LATE_S = 0.05  # a larger scheduling latency is a risk for a real-time flight
+LATE_S = 0.05  # largest scheduling latency without a risk for a real-time flight
 
 
 def use_idle_priority() -> None:
-    """Run this process and its later threads only while a processor is idle.
+    """Run this process, and the threads that it starts later, only while a processor is idle.
 
     A process with a high nice value would still receive time slices of milliseconds. A process in the idle
     class (sched(7)) yields immediately.
@@ -97,7 +97,7 @@ class ChildProcess(subprocess.Popen[bytes]):
         self.pipe = self.stdin.fileno()
         self.send(first)
         if hasattr(fcntl, "F_SETPIPE_SZ"):
-            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # samples of a long contact take 50 kB
+            fcntl.fcntl(self.pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)  # the request of a long contact has 50 kB
         os.set_blocking(self.pipe, False)
         self.listener = threading.Thread(target=self._listen, name=module, daemon=True)
         self.listener.start()

@@ -1,8 +1,8 @@
 """The immutable records that flow through the flight core.
 
 Units are SI. `t_us` is the autopilot's time in integer microseconds; `received_us` is the host's monotonic
-time at receipt. The core receives an `Input` and returns an `Output`. An output is a command for the shell
-(the program around the core), or an estimate or decision that is only logged.
+time at receipt. The core receives an `Input` and returns an `Output`. An output is either a command, which
+the shell (the program around the core) executes, or an estimate or decision, which the shell only logs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import Quaternion, Vec2, Vec3
 from dart_flight.base.walls import Wall
 
-MIN_LEAD_M: Final = 0.002  # if one guard leads the other by less, both count as touching at the same time
+MIN_LEAD_M: Final = 0.002  # two guards touch at the same time if one leads the other by less
 
 # PX4's default PWM_<bank>_MIN and _MAX: pulse widths at throttle 0 and 1.
 MOTOR_STOP_US, MOTOR_FULL_US = 1000.0, 2000.0
@@ -207,7 +207,7 @@ class ActuatorSample(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     motors: tuple[float, ...]  # in PX4's order
-    stamp_is_estimated: bool = True  # whether the stamp is converted host time, because the message has none
+    stamp_is_estimated: bool = True  # whether the stamp is converted host time; the message has no stamp
 
 
 class EscSample(Record, frozen=True, gc=False):
@@ -229,7 +229,7 @@ class StatusSample(Record, frozen=True, gc=False):
     armed: bool = False
     flight_mode: FlightMode = FlightMode.UNKNOWN
     landed: LandedState = LandedState.UNKNOWN
-    local_position_ok: bool = False  # odometry arrives, and ESTIMATOR_STATUS, if sent, reports no problem
+    local_position_ok: bool = False  # odometry arrives, and no ESTIMATOR_STATUS reports a problem
     battery_v: float | None = None
     battery_remaining: float | None = None  # 0 to 1
     system_status: SystemStatus = SystemStatus.UNKNOWN  # MAV_STATE in the heartbeat
@@ -267,7 +267,7 @@ class HealthReport(Record, frozen=True, gc=False):
     t_us: int
     received_us: int
     can_arm: bool  # whether PX4 can arm in the current flight mode
-    blocking: tuple[str, ...]  # problems in the current mode, at least warnings
+    blocking: tuple[str, ...]  # problems in the current mode, of severity warning or worse
     others: tuple[str, ...]  # problems in other modes
 
 
@@ -291,7 +291,7 @@ class PoseSample(Record, frozen=True, gc=False):
     t_us: int  # autopilot's time of receipt
     received_us: int
     body: str  # name or number of the body at the source
-    tracked: bool  # whether the source reports the body as tracked; the pose is meaningless if not
+    tracked: bool  # whether the source tracks the body; if not, the pose is invalid
     position_room: Vec3  # m, in the axes of the room
     q_body_to_room: Quaternion
     frame_number: int | None = None  # source's frame counter, or None if the source has none
@@ -317,10 +317,10 @@ class LockState(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/lock"
     t_us: int
     phase: LockPhase
-    mode: Mode | None  # commanded mode while travelling, reached mode when settled
+    mode: Mode | None  # the commanded mode while travelling, the reached mode once settled
     commanded_us: int | None = None
     settled_us: int | None = None
-    feedback: bool = False  # whether a switch confirmed the position; if not, "settled (no feedback)"
+    feedback: bool = False  # whether a switch has confirmed the position
     reason: str | None = None
 
 
@@ -357,7 +357,7 @@ class RoundTrip(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/in/round_trip"
     received_us: int  # host's monotonic time at which the answer was received
     sent_us: int  # host's monotonic time at which the request was sent
-    autopilot_us: int | None  # autopilot time of the answer; None if unknown or if not in real time
+    autopilot_us: int | None  # autopilot time of the answer; None if unknown or in simulated time
 
 
 class PlanAnswer(Record, frozen=True, gc=False):
@@ -380,7 +380,7 @@ class PlanAnswer(Record, frozen=True, gc=False):
     normal_m_s: float | None = None  # velocity at impact, collision frame
     tangential_m_s: float | None = None  # velocity at impact, collision frame
     peak_force_n: float | None = None  # predicted peak normal force, from the coefficients estimated so far
-    pieces_s: tuple[float, ...] = ()  # duration of each piece if there are several
+    pieces_s: tuple[float, ...] = ()  # duration of each piece, s; empty for a single piece
     problem: str = ""  # reason why no trajectory was found
 
 
@@ -488,11 +488,11 @@ class PlanRequest(Record, frozen=True, gc=False):
     position_mission: Vec3
     velocity_mission: Vec3
     acceleration_mission: Vec3  # acceleration caused by thrust and drag
-    setpoint_mission: Vec3  # setpoint that is valid until `begin_us`, m
+    setpoint_mission: Vec3  # position setpoint that is active until `begin_us`, m
     lock_ready_us: int | None  # time at which lock and heading are ready for the wall; None: never
     under_way: bool = False  # whether the vehicle follows a trajectory instead of a setpoint
-    contact_height_m: float | None = None  # height of the wall's force above the centre of mass
-    coasts: bool = False  # whether the vehicle keeps speed and thrust, without a target, until `begin_us`
+    contact_height_m: float | None = None  # height above the centre of mass at which walls push
+    coasts: bool = False  # whether no position is commanded until `begin_us`, only thrust
 
 
 class ContactRequest(Record, frozen=True, gc=False):
@@ -506,10 +506,10 @@ class ContactRequest(Record, frozen=True, gc=False):
     number: int  # request number, counting up
     onset: ImpactOnset
     wall: Wall | None  # the expected wall, or None if the contact was not planned
-    normal: Vec2  # outward normal of that wall, or the direction of the force if there is no such wall
+    normal: Vec2  # outward normal of the expected wall, else the direction of the force
     mode_reported: Mode | None  # mode reported by the lock at the onset, or None if not settled
     frame_heading_rad: float  # direction of the mission's x axis, clockwise from north
-    slow_force: Vec2  # constant horizontal force outside of contacts, mission frame, N
+    slow_force: Vec2  # slow horizontal force before the contact, mission frame, N
     noise_n: float  # standard deviation of one force component's white noise
     noise_frd_nm: Vec3  # standard deviation of each torque component's white noise
     sample_us: tuple[int, ...] = ()
@@ -547,7 +547,7 @@ class ForceEstimate(Record, frozen=True, gc=False):
     filtered_mission: Vec3 = (0.0, 0.0, 0.0)  # first-order low-pass of the force
     variance_n2: Vec3 = (0.0, 0.0, 0.0)  # error variance of each component, mission frame, N2
     noise_n: float = 0.0  # standard deviation of one component's white noise
-    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, which presses on a wall, N
+    push_mission: Vec2 = (0.0, 0.0)  # horizontal force of thrust and drag, N; it acts during a contact, too
 
 
 class TorqueEstimate(Record, frozen=True, gc=False):
@@ -569,7 +569,7 @@ class ImpactOnset(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/event/onset"
     t_us: int  # stamp of the sample that crossed the threshold
-    first_us: int  # stamp of the first sample in contact, at which the force rises out of the noise
+    first_us: int  # stamp of the first sample whose force is above the noise
     received_us: int
     force_mission: Vec3
     velocity_mission: Vec3  # last velocity before the contact
@@ -590,7 +590,7 @@ class ImpactPeak(Record, frozen=True, gc=False):
     position_mission: Vec3  # position at the normal peak
     clipped: bool
     normal_sigma_n: float = 0.0  # standard error of the normal force
-    fitted: bool = False  # whether the peak is that of the fitted contact model, not of a parabola
+    fitted: bool = False  # whether the peak comes from a fit of the contact model; if not, from a parabola
 
 
 class ContactEnd(Record, frozen=True, gc=False):
@@ -647,11 +647,11 @@ class WallEstimate(Record, frozen=True, gc=False):
     k_n_per_m: float  # stiffness
     f_ns_per_m: float  # damping
     mu_s_per_m: float  # friction
-    nu_n: float  # bound of the vertical force
+    nu_n: float  # nu, the bound of the vertical force
     k_sd: float  # relative standard deviation of the stiffness
     f_sd: float  # relative standard deviation of the damping
     mu_sd: float  # relative standard deviation of the friction
-    nu_sd: float  # relative standard deviation of the vertical bound
+    nu_sd: float  # relative standard deviation of nu
     incidence_rad: float  # angle from the wall to the leading edge at first touch; positive: turned left
     incidence_sigma_rad: float
     plane_offset_m: float  # measured plane minus the mission's plane, along the wall's normal
@@ -661,7 +661,7 @@ class WallEstimate(Record, frozen=True, gc=False):
     plane_normal_mission: Vec2 | None = None  # outward unit normal of the measured plane
     plane_normal_sigma_rad: float | None = None
     centre_mission: Vec2 | None = None  # vehicle's centre at the first touch
-    material: str | None = None  # best-fitting material of the table, if the wall's material is unknown
+    material: str | None = None  # material with the nearest coefficients, if the wall's material is unknown
     problem: str = ""  # reason why the contact was not evaluated
 
 
@@ -673,7 +673,7 @@ class DetectionFloor(Record, frozen=True, gc=False):
 
     topic: ClassVar[str] = "/estimate/detection"
     t_us: int
-    threshold_n: float  # lowest of the current thresholds
+    threshold_n: float  # lowest of the detector's thresholds
     noise_short_n: float  # standard deviation of one component of the force averaged over the short window
     noise_long_n: float  # standard deviation of one component of the force averaged over the long window
     rigid_n: float  # lowest peak of a rigid contact with this wall that is always detected
@@ -700,7 +700,7 @@ class PosesWithheld(Record, frozen=True, gc=False):
     topic: ClassVar[str] = "/event/poses_withheld"
     t_us: int
     reason: str
-    attitude_only: bool = False  # whether the positions are still forwarded
+    attitude_only: bool = False  # whether only the attitudes are withheld
 
 
 class GuardEvent(Record, frozen=True, gc=False):
@@ -838,7 +838,7 @@ class TruthContact(Record, frozen=True, gc=False):
     position_mission: Vec3
     incidence_rad: float = 0.0  # angle from the wall to the leading edge at first touch; positive: left
     tilt_rad: float = 0.0  # tilt at first touch
-    rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end, rad/s
+    rate_out_frd: Vec3 = (0.0, 0.0, 0.0)  # body rate at the end of the contact, rad/s
     lead_m: float = 0.0  # lead of the right guard over the left one at first touch, towards the wall
     peak_torque_nm: float = 0.0  # largest torque of the wall about the centre of mass
 

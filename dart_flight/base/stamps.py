@@ -1,11 +1,11 @@
-"""Detection of stamps that leap ahead, because another vehicle sent them or because the clock jumped."""
+"""Detection of stamps that leap ahead. Another vehicle may have sent them, or the clock may have jumped."""
 
 from __future__ import annotations
 
 from typing import Final
 
 LEAP_US: Final = 1_000_000
-FASTEST: Final = 20  # real-time factor of the fastest simulation
+FASTEST: Final = 20  # the fastest simulation runs this many times faster than real time
 
 
 def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
@@ -17,7 +17,7 @@ def leaps(ahead_us: int, elapsed_us: int = 0) -> bool:
 
 
 class LeapFilter:
-    """Rejects stamps that leap, until several in a row show that the clock has jumped."""
+    """Filter that rejects leaping stamps until several in a row show that the clock has jumped."""
 
     def __init__(self, accepted_after: int) -> None:
         self._accepted_after = accepted_after

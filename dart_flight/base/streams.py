@@ -1,4 +1,5 @@
-"""The telemetry streams: MAVLink message, record, requested rate, and the lowest rate that a mission needs.
+"""The telemetry streams: Telemetry streams: MAVLink message, record, requested rate, and lowest rate for a
+mission.
 
 `vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
 checks the age of samples in host time. `vehicle.messages` decides whose message is accepted. PX4 rounds the

@@ -46,12 +46,12 @@ def wilson(successes: int, flights: int) -> tuple[float, float]:
 
 
 class Spread(msgspec.Struct, frozen=True):
-    """The distribution of a value over many flights. Flights without this value are not counted.
+    """Distribution of one value over many flights. Flights without this value are not counted.
 
     Attributes:
         mean_half_width: half the width of the mean's 95 % interval (Student's t).
-        low, low_5, high_95, high: smallest value, 5 % and 95 % percentiles, largest value; ordered by value
-            or by magnitude.
+        low, low_5, high_95, high: smallest value, 5 % and 95 % percentiles, and largest value. They are
+            sorted by value, or by magnitude with `order=abs`.
     """
 
     count: int

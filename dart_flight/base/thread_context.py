@@ -20,7 +20,7 @@ class ThreadContext:
         raise NotImplementedError
 
     def _close(self) -> None:
-        """Free the resources, after the thread has ended."""
+        """Release the subclass's resources; called once the thread has ended."""
 
     def __enter__(self) -> Self:
         self._thread.start()

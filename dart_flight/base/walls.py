@@ -9,7 +9,7 @@ import msgspec
 from dart_flight.base.arithmetic import Number, where
 from dart_flight.base.geometry import Vec2, Vec3, distance_to_segment, wrap_angle
 
-FRONT, BACK = ".front", ".back"  # suffixes of the names of a partition's two faces
+FRONT, BACK = ".front", ".back"  # suffixes in the names of the two faces of a partition
 
 
 class Post(msgspec.Struct, frozen=True):
@@ -101,7 +101,7 @@ class Wall(msgspec.Struct, frozen=True):
     def crossing(
         self, a: tuple[Number, ...], b: tuple[Number, ...], a_off_m: float = 0.0, b_off_m: float = 0.0
     ) -> tuple[Number, tuple[Number, Number]]:
-        """Return whether a segment crosses the wall's infinite plane, and where the line meets this plane.
+        """Return whether a segment crosses the wall's infinite plane, and where its line meets it.
 
         Coordinates may be numbers or arrays. If the line is parallel to the plane, the place is `a`.
 

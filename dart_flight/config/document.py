@@ -30,7 +30,7 @@ from dart_flight.config.units import unit_from_name
 T = TypeVar("T")
 Key = tuple[str | int, ...]
 
-IN_PYTHON = "<dict>"  # source of a document that did not come from a file
+IN_PYTHON = "<dict>"  # `source` of a document from Python instead of a file
 _MAX_BYTES = 1_000_000
 MAX_TABLE_BYTES = 200_000_000  # maximum size of CSV files: an hour of trials at 1 kHz
 MAX_LOG_BYTES = 2_000_000_000  # maximum size of logs: PX4 writes up to 500 MB an hour
@@ -151,7 +151,7 @@ def replace_file(path: Path, data: bytes) -> None:
         part.unlink(missing_ok=True)
 
 
-Stamp = tuple[int, int, int] | None  # a file's modification time, size and inode, or None without a file
+Stamp = tuple[int, int, int] | None  # modification time, size, inode; None if there is no file
 _noting: list[dict[Path, Stamp]] = []
 
 
@@ -166,7 +166,7 @@ def stamp_of(path: Path) -> Stamp:
 
 @contextlib.contextmanager
 def noting_files() -> Iterator[dict[Path, Stamp]]:
-    """Collect the files opened within the context, each with its stamp from before the opening."""
+    """Collect the files that are opened within the context, with each file's stamp before it is opened."""
     noted: dict[Path, Stamp] = {}
     _noting.append(noted)
     try:
@@ -223,7 +223,7 @@ def dotted(key: Key) -> str:
 
 
 def iterate_leaves(tree: Any, key: Key = (), *, in_lists: bool = False) -> Iterator[tuple[Key, Any]]:
-    """Yield the values of a tree with their keys. A list is one value, or several with `in_lists`."""
+    """Yield the values of a tree with their keys. A list is one value; `in_lists` yields its entries."""
     inner: Iterable[tuple[str | int, Any]]
     if isinstance(tree, Mapping):
         inner = tree.items()
@@ -301,7 +301,7 @@ class Document:
         option such as `--set` has set the key, the error names this option instead of file and line.
         """
         for given, setting in self.set_by.items():
-            # The error is at the setting's key, below it, or in a section that only the setting created.
+            # The setting caused an error at or below its key, or in a section that it has created.
             if key[: len(given)] == given or (key not in self.lines and given[: len(key)] == key):
                 return InputError(message, source=setting)
         for length in range(len(key), -1, -1):
@@ -507,7 +507,7 @@ _WORDS = {
 
 
 def _range(type_: Any, value: Any, key: Key) -> str:
-    """Return the allowed range, the unit and the number as text, or "" if no range is known."""
+    """Return the plausible range with its unit, and the number, as text; "" if the range is unknown."""
     limits = next(_limits(type_), None)
     if limits is None or isinstance(value, bool) or not isinstance(value, int | float):
         return ""
@@ -554,7 +554,7 @@ def suggest_known(name: str, known: Iterable[str]) -> str:
     """Return the end of a message about an unknown name: the nearest known name, or all known names."""
     names = list(known)
     parts = [other for other in names if other.startswith(f"{name}.")]
-    if parts:  # the unknown name is a partition, so suggest its faces
+    if parts:  # the name belongs to a partition: suggest its faces
         return f", expected {' or '.join(parts)}"
     return did_you_mean(name, names) or f", known: {', '.join(names)}"
 

@@ -1,4 +1,4 @@
-"""Edits of a YAML file that change only the bytes of the edited entries: comments, order and spacing stay."""
+"""Edits of a YAML file that change only the edited entries; comments, order and spacing stay."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dart_flight.config.document import (
     report_write_errors,
 )
 
-_INDENT: Final = 2  # indentation of a new block, spaces
+_INDENT: Final = 2  # spaces by which a new block is indented
 
 
 def edit_values(text: str, values: Mapping[Key, float], source: str = "") -> str:
@@ -76,7 +76,7 @@ def update_text(text: str, wanted: Mapping[str, Any], source: str = "") -> str:
 
 
 class _Entry(NamedTuple):
-    """An entry of a collection.
+    """An entry of a mapping or list in the text.
 
     Attributes:
         key: key of a mapping's entry; None in a list.
@@ -207,7 +207,7 @@ class _Editor:
     def _comments_above(self, index: int) -> int:
         """Return the beginning of the comments directly above an entry, at the entry's column."""
         column, begin = self._column(index), index
-        if self._text[self._line_start(index) : index].strip():  # the entry follows a dash
+        if self._text[self._line_start(index) : index].strip():  # the line begins with a dash
             return index
         while (line := self._line_start(begin)) > 0:
             above = self._line_start(line - 1)
@@ -219,11 +219,11 @@ class _Editor:
 
 
 class _EntryStep(NamedTuple):
-    """A change of one entry; `old` is None if the entry is inserted, `new` is None if it is deleted.
+    """The change of one entry; for an inserted entry `old` is None, for a deleted entry `new` is None.
 
     Attributes:
         old, new: key or index of the entry.
-        position: number of the present entry, from 0.
+        position: number of the entry in the present collection, from 0.
     """
 
     old: Any
@@ -234,7 +234,7 @@ class _EntryStep(NamedTuple):
 def _steps(present: Any, wanted: Any) -> Iterator[_EntryStep]:
     """Yield the changes from the present to the wanted entries, in the order of the text."""
     if isinstance(present, dict):
-        # A key that is still wanted keeps its place.
+        # Keys that exist already keep their order.
         order = [key for key in present if key in wanted]
         new = order + [key for key in wanted if key not in present]
         if [key for key in wanted if key in present] == order:

@@ -23,7 +23,7 @@ class FileKind(Enum):
     TRIAL = "a CSV file: `identify` reads trials from it, and `predict --batch` reads wall hits"
 
 
-EXTENDS = "extends"  # a configuration with this key contains only differences from another configuration
+EXTENDS = "extends"  # with this key, a configuration contains only its differences from another file
 # Top-level keys that occur in only one kind of file.
 _MARKS = {
     FileKind.MISSION: ("collisions", "waypoints"),

@@ -20,8 +20,8 @@ from dart_flight.config.vehicle import VehicleConfig
 _AXIS_TOLERANCE = 1e-6
 _UNIT_TOLERANCE = 1e-15
 _ON_POST_M = 0.01  # tolerance for the position of an impact point on a post
-_LIKE_CONTACT_DISTANCE_M = 0.03  # maximum deviation of a distance that counts as the contact distance
-LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits set these keys
+_LIKE_CONTACT_DISTANCE_M = 0.03  # a distance counts as the contact distance within this tolerance
+LIMITED_KEYS = ("acceleration_m_s2", "transit_speed_m_s", "jerk_m_s3")  # the mission's limits replace them
 
 
 class SpaceFile(Protocol):
@@ -67,7 +67,7 @@ def resolve_walls(
         if not length > 1e-9:
             raise document.error((*key, "normal"), "the normal has length 0")
         normal = spec.normal
-        if abs(length - 1.0) > _UNIT_TOLERANCE:  # a unit vector stays bit-equal
+        if abs(length - 1.0) > _UNIT_TOLERANCE:  # do not change a unit vector by rounding
             normal = (spec.normal[0] / length, spec.normal[1] / length)
         if spec.material not in vehicle.materials:
             raise document.error((*key, "material"), unknown_name(spec.material, list(vehicle.materials)))

@@ -28,7 +28,7 @@ _LONGEST = 65536
 _LONGEST_NAME = 180
 _SHARED: Final = (Path("/run/lock"), Path("/dev/shm"))
 _FOR_ALL: Final = stat.S_ISVTX | stat.S_IWOTH
-_KEPT: Final = "DART_FLIGHT_KEPT_FILES"  # one line `descriptor=path` per kept file
+_KEPT: Final = "DART_FLIGHT_KEPT_FILES"  # its value has a line `descriptor=path` for each kept file
 
 
 def shared_file(name: str) -> Path:
@@ -107,7 +107,7 @@ class HeldFile:
         kept = _kept_files().get(self._path)
         if kept is not None and not _is_at(
             kept, self._path
-        ):  # the file was deleted, so other processes may lock a new one
+        ):  # the file was deleted, so another process may have locked its successor
             os.close(_kept_files().pop(self._path))
             kept = None
         self._descriptor = self._lock() if kept is None else os.dup(kept)
@@ -144,7 +144,7 @@ class HeldFile:
             self.drop()
 
     def drop(self) -> None:
-        """Close the file without releasing the lock, as a forked child must."""
+        """Close the file in a forked child, without releasing the parent's lock."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -153,7 +153,7 @@ class HeldFile:
     def _lock(self) -> int:
         other = b""
         for attempt in range(_ATTEMPTS):
-            if attempt:  # wait, because the holder may be a process that only checks the lock
+            if attempt:  # wait: the holder may be a process that locks the file briefly, to check it
                 time.sleep(_PAUSE_S)
             descriptor = self._open(last=attempt == _ATTEMPTS - 1)
             if descriptor is None:
@@ -162,7 +162,7 @@ class HeldFile:
             try:
                 if not lock_file(descriptor, self._path, self._remedy):
                     other = os.pread(descriptor, _LONGEST, 0)
-                elif _is_at(descriptor, self._path):  # false if the previous holder has removed the file
+                elif _is_at(descriptor, self._path):  # the path still leads to the locked file
                     locked = True
                     return descriptor
             finally:
@@ -220,7 +220,7 @@ def _kept_files() -> dict[Path, int]:
 
 
 class Lease(ABC):
-    """An exclusive right, as a context manager that acquires and releases it."""
+    """Base of exclusive rights: a context manager that acquires and releases the right."""
 
     @abstractmethod
     def acquire(self) -> None:

@@ -10,7 +10,7 @@ from dart_flight.config.document import Document, dotted, iterate_leaves
 from dart_flight.config.file_kinds import EXTENDS
 from dart_flight.config.vehicle import VehicleConfig, load_vehicle, packaged
 
-_COPIED: Final = 0.5  # a file with more than this fraction of a packaged file's values counts as its copy
+_COPIED: Final = 0.5  # a file is a copy if it has more than this fraction of a packaged file's values
 _SAME: Final = 0.1  # values with a smaller relative difference count as equal
 _SIZE: Final = ("airframe.arm_x_m", "airframe.arm_y_m", "airframe.motors")
 _TURNING: Final = ("airframe.mass_kg", "airframe.inertia_kg_m2", "thrust.full_n", *_SIZE)
@@ -66,7 +66,7 @@ class Inherited(NamedTuple):
 
 
 class _Base(NamedTuple):
-    """The file that a vehicle's file extends, or the packaged file of which it is a copy."""
+    """The base of a vehicle's file: the file that it extends, or the packaged file of which it is a copy."""
 
     path: Path
     is_original: bool  # whether the vehicle's file is a copy of this file
@@ -97,11 +97,11 @@ def find_inherited(
     own, inherited = _values(vehicle), _values(load_vehicle(base.path))
     materials = {f"{_MATERIALS}{name}": ("airframe.mass_kg", LOCK) for name in vehicle.materials}
     measured = {**FOLLOWS_FROM, **materials}
-    of_vehicle = base.given if base.is_original else given  # `--set` does not make DART another vehicle
+    of_vehicle = base.given if base.is_original else given  # ignore `--set`
     if own[LOCK] == inherited[LOCK] and not any(_is_given(key, of_vehicle) for key in measured):
         if base.is_dart:
             return None
-        if not base.is_original:  # the file describes the vehicle that it extends
+        if not base.is_original:  # the vehicle is still that of the extended file
             return find_inherited(vehicle, str(base.path), settings)
     kept: list[str] = []
     contradictions: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""Connection URLs: validation before anything is opened, with one-line errors that list the allowed forms."""
+"""Checks of connection URLs before a link is opened; their one-line errors list the allowed forms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LinkAddress(NamedTuple):
     """The parts of a connection URL."""
 
     kind: str  # scheme
-    place: str  # host, or the serial device
+    place: str  # host, or path of the serial device
     number: int  # port, or baud rate
 
 
@@ -42,7 +42,7 @@ def parse_link(url: str) -> LinkAddress | None:
 
 
 class LinkEndpoint(msgspec.Struct, frozen=True):
-    """The resource that a URL uses; only one program at a time may use URLs with the same `key`.
+    """The resource that a URL uses. Only one program at a time may use a resource, identified by its `key`.
 
     Attributes:
         key: part of the names of the files that reserve the link, or a servo on the link.
@@ -77,7 +77,7 @@ def endpoint_of(url: str) -> LinkEndpoint:
 
 
 def mavsdk_url(url: str) -> str:
-    """Return a URL without a colon in the device's name, because MAVSDK ends the name at the first colon."""
+    """Return an equivalent URL whose device name has no colon; MAVSDK ends the name at the first colon."""
     link = parse_link(url)
     if link is None or link.kind != "serial" or ":" not in link.place:
         return url

@@ -40,14 +40,14 @@ from dart_flight.config.vehicle import Flying, VehicleConfig, load_vehicle
 from dart_flight.lab_entries import MISSION_SCENE, load_entry
 
 _PAUSE_S = 60.0
-# After power-on, the position estimate of a resting vehicle drifts. Until arming, the frame follows.
+# After power-on, the position estimate of a resting vehicle drifts. The frame follows it until arming.
 ESTIMATE_MOVED_M = 0.05
 # Tolerances: a trajectory is rounded, and ends at the onset of the force, slightly before the plane.
 _TRAJECTORY_OFF_M, _TRAJECTORY_OFF_M_S = 0.05, 0.05
 
 
 class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """A planned collision, resolved.
+    """A planned collision, converted from its keys.
 
     Attributes:
         index: number of the collision in the order of flight, from 1.
@@ -83,12 +83,12 @@ class Collision(CollisionKeys, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=False):
-    """A waypoint or a pause, resolved.
+    """A waypoint or a pause, converted from its keys.
 
     Attributes:
         index: number in the list, from 1.
-        position: mission frame, metres; None for a pause, which holds position. If the position
-            is relative to a wall that a probe must find, the wall is assumed to be at the end of the probe.
+        position: mission frame, metres; None for a pause, which holds position. A position relative to a wall
+            that a probe searches for assumes the wall at the end of the probe.
         speed_m_s: maximum speed of the leg to the waypoint.
         hold_s: hold time at a waypoint; for a pause, the timeout after which the vehicle lands.
         wall_at: the wall that `at_wall` names, or None.
@@ -107,7 +107,7 @@ class Waypoint(WaypointKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fa
 
 
 class WrittenForm(msgspec.Struct, frozen=True, eq=False):
-    """A mission as written, for `Mission.replace`. Comparisons of missions ignore it.
+    """The keys of a mission as written, for `Mission.replace`; comparisons of missions ignore them.
 
     Attributes:
         tree: keys and values of the file, without the vehicle.
@@ -138,7 +138,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         simulated_walls: additional walls that exist only in simulation.
         posts: the posts.
         vehicle_source: origin of the vehicle's configuration, or None if built in Python.
-        written: the keys as written, or None if read from a log that lacks them.
+        written: the keys as written, or None if the mission comes from a log without these keys.
     """
 
     source: str
@@ -156,7 +156,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
 
     @property
     def flat_walls(self) -> tuple[Wall, ...]:
-        """The walls, except the tangent planes of posts."""
+        """The walls of the mission without the tangent planes of posts."""
         return tuple(wall for wall in self.walls if not wall.post_radius_m)
 
     @property
@@ -281,7 +281,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
         return vehicle if apply_limits(vehicle, self.limits) == self.vehicle else self.vehicle
 
     def _keys_as_written(self, vehicle: VehicleConfig) -> dict[str, Any]:
-        """Return the keys of the file, with the keys that code has changed since, such as `standoff_m`."""
+        """Return the keys of the file, with the values that code has changed since (`standoff_m`)."""
         if self.written is None:
             raise InputError("does not contain the keys of its mission", source=self.source)
         same = parse_mission(Document.from_tree(self.written.tree), vehicle)

@@ -1,7 +1,7 @@
 """Mission files (version 1) as written in YAML; the types define the keys. `docs/missions.md` explains them.
 
-A key is one field of one class: the field has type, bounds and default, and `Attributes:` has the meaning
-(and the unit, if the name has none). Keys that the flight uses as written are in `MissionKeys`,
+A key is one field of one class. The field has type, bounds and default. `Attributes:` has the meaning, and
+the unit if the name has none. Keys that the flight uses as written are in `MissionKeys`,
 `CollisionKeys` or `WaypointKeys`, which the file and the resolved mission share. Keys that must be resolved
 are only in the file's class, such as `CollisionSpec`; `config.mission` resolves them (docs/extending.md).
 """
@@ -27,7 +27,7 @@ Direction = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Alpha = Annotated[float, Meta(ge=0.0, le=1.0)]
 Point2 = tuple[Coordinate, Coordinate]
 Range = tuple[Coordinate, Coordinate]
-_MOST_BROKEN_OFF = 0.1  # maximum fraction of drawn flights that fail in an acceptable plan
+_MOST_BROKEN_OFF = 0.1  # in an acceptable plan, at most this fraction of the drawn flights fails
 # In 20 drawn flights of a mission, the tilt reached 74 degrees; in the next 20, one vehicle tumbled.
 _MOST_TILT_DEG = 60.0
 Standoff = Annotated[float, Meta(ge=0.1, le=2.0)]
@@ -39,8 +39,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the origin for which the mission's start is directly above the take-off point, displaced
-            by north_m and east_m.
+            takeoff: the vehicle takes off directly below the mission's start; north_m and east_m displace
+            this origin.
         anchored_by: none: PX4's position is used without correction; touch: the position drifts, and every
             contact with a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.

@@ -48,7 +48,7 @@ class PositionSource(StrEnum):
     MOCAP = "mocap"  # motion capture
     RTK = "rtk"  # GPS with corrections
     PLAIN = "plain"  # GPS without corrections
-    ANCHORED = "anchored"  # GPS without corrections; contacts with walls correct the position
+    ANCHORED = "anchored"  # GPS without corrections, but contacts with walls correct the frame
 
 
 _PLACE_FILES = {
@@ -81,7 +81,7 @@ class Parameter(msgspec.Struct, frozen=True):
     tolerance: float = 0.0
 
     def is_absent_in(self, version: Version | None) -> bool:
-        """Return whether a PX4 version lacks the parameter under this name; modules are not checked."""
+        """Return whether a PX4 version lacks the parameter under this name, whatever its modules."""
         when, _, release = self.absent.partition(" v")
         if version is None or not release:
             return False
@@ -94,7 +94,7 @@ class ParameterFile(msgspec.Struct, frozen=True):
 
     Attributes:
         parameters: the autopilot's parameters by name, in the file's order.
-        skipped: number of rows of each other component, by component id.
+        skipped: number of rows of other components than the autopilot, by component id.
         vehicles: ids of the vehicles in the file.
     """
 
@@ -224,7 +224,7 @@ def read_parameter_file(path: str | Path) -> ParameterFile:
 
 
 def parse_listing(listing: str) -> dict[str, float]:
-    """Return name and value of every parameter in the output of PX4's `param show`."""
+    """Return the value of every parameter in the output of PX4's `param show`, by name."""
     found = {}
     for line in listing.splitlines():
         match = _LISTED.match(line)

@@ -20,13 +20,13 @@ _MAX_LOOKED_AT = 100
 
 
 class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
-    """The vehicle and its configuration, as named in the output of `--json`.
+    """Identification of the vehicle and its configuration in the output of `--json`.
 
     Attributes:
         source: path of the configuration; None if built in Python. A path inside the working directory is
             relative.
         packaged: whether the configuration is the packaged file and not a file of the user.
-        mass_kg: mass, on which most other results depend.
+        mass_kg: the vehicle's mass, because most results depend on it.
         set: keys changed by `--set` for this call, `KEY=VALUE`; omitted if there are none.
     """
 
@@ -81,7 +81,7 @@ def _is_packaged(path: Path) -> bool:
 
 
 def unused_configurations(source: VehicleSource) -> list[str]:
-    """Return configurations that the operator may have meant instead of the packaged configuration.
+    """Return other configurations that the operator may have meant when the packaged one is used.
 
     Candidates are the file that $DART_FLIGHT_CONFIG names, and the files in the working folder and in its
     subfolder `configs/`. If another configuration is used, the result is empty.

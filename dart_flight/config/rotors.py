@@ -8,7 +8,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.vehicle import Motor
 
 COUNT = "CA_ROTOR_COUNT"
-MAV_TYPES = {4: 2, 6: 13, 8: 14}  # number of motors -> MAV_TYPE of quadrotor, hexarotor and octorotor
+MAV_TYPES = {4: 2, 6: 13, 8: 14}  # MAV_TYPE by number of motors: quadrotor, hexarotor, octorotor
 _AXES = ("PX", "PY", "KM")
 _MAX = 12  # maximum number of motors in PX4
 _PLACE_TOLERANCE_M = 0.03
@@ -50,8 +50,8 @@ def rotor_differences(motors: Sequence[Motor], actual: Sequence[Motor]) -> tuple
     """Compare PX4's motors (`actual`) with the configuration's.
 
     Returns:
-        Two lists of messages: differences in number, side or direction of rotation, which show that PX4 is
-            configured for another vehicle; and differences in size.
+        Two lists of messages. The first has differences in number, side or direction of rotation: PX4 is
+            configured for another vehicle. The second has differences in size.
     """
     if len(motors) != len(actual):
         return [f"PX4 has {len(actual)} motors, but the configuration has {len(motors)}"], []

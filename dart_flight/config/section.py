@@ -2,9 +2,9 @@
 
 The meaning of a key is written once, under `Attributes:` in the docstring of its section, next to its type.
 `make docs` copies the meaning to the JSON Schemas, the tables in docs/ and the comments of configs/dart.yaml.
-The docstring states what the key's name omits: meaning, sign, frame, effect of null, and the unit if the name
-has none. If a key's type is itself a section, the docstring of that section may explain the key; the key then
-needs no entry.
+The docstring states what the key's name does not: meaning, sign, frame, effect of null, and perhaps unit. If
+a key's type is itself a section, the docstring of that section may explain the key; the key then needs no
+entry.
 
 A key that is added later has a default, for files and logs without this key. If the key changes decisions,
 the default keeps the old behaviour, and the shipped configurations set the better value.

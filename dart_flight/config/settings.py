@@ -76,7 +76,7 @@ def _key(name: str) -> Key:
 
 def _set(document: Document, key: Key, value: Any, setting: str) -> None:
     """Set a value in a document; error messages quote `setting`, as the user wrote it."""
-    document.set_by.pop(key, None)  # remove the key first, so that the dict keeps the order of the changes
+    document.set_by.pop(key, None)  # a dict keeps a key's old place, so remove the key first
     document.set_by[key] = setting
     node: Any = document.tree
     for part in key[:-1]:

@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.config.vehicle.configuration import extended_file
 
 DART = "dart"
-# DART, and the other vehicles with missions
+# DART, then the other vehicles that have missions
 VEHICLES = (DART, "rigid_cage", "ring_guard_250g")
 
 _PARTS = (("configs", ".yaml"), ("configs", ".params"), ("missions", ".yaml"), ("docs/schemas", ".json"))
@@ -58,7 +58,7 @@ def first_mission(vehicle: str) -> Path:
 def write_starter(directory: Path, vehicle: str = DART) -> list[Path]:
     """Copy the starter files of a vehicle into a folder, and return the written paths.
 
-    If a file exists already, nothing is written, and InputError is raised.
+    If one of the files exists already, nothing is written, and the function raises InputError.
     """
     files = {directory / relative: source for relative, source in starter_files(vehicle).items()}
     there = [path for path in files if path.exists() or path.is_symlink()]

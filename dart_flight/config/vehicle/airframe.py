@@ -22,7 +22,7 @@ Drag = Annotated[float, Meta(ge=0.0, le=10.0)]
 Inertia = Annotated[float, Meta(gt=0.0, le=10.0)]
 Lever = Annotated[float, Meta(ge=-1.0, le=1.0)]
 
-# The motors of an X quadrotor in PX4's order, FRD: sign of x, sign of y, direction of the yaw torque.
+# The motors of an X quadrotor in PX4's order, FRD: signs of x, of y and of the yaw torque.
 _QUADROTOR_X = ((1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1))
 
 
@@ -128,7 +128,7 @@ class Airframe(Section, frozen=True, kw_only=True):
 
 
 def effectiveness(motors: Sequence[Motor]) -> list[list[float]]:
-    """Return roll, pitch and yaw torque (FRD) and lift per newton of thrust, one column per motor."""
+    """Return each motor's roll, pitch and yaw torque (FRD) and lift per newton, a column per motor."""
     return [
         [-motor.y_m for motor in motors],
         [motor.x_m for motor in motors],
@@ -149,7 +149,7 @@ class Thrust(Section, frozen=True):
     Attributes:
         motor_lag_s: time constant of motor and propeller.
         full_n: thrust at full command and at the battery voltage estimation.battery.reference_v.
-        model_factor: fraction of the square term, PX4's THR_MDL_FAC.
+        model_factor: fraction of the square term in the curve, PX4's THR_MDL_FAC.
         table: measured pairs [[command, newton], ...], interpolated linearly (full_n and model_factor are
             then null). Both columns increase, and the last command is 1.
     """
@@ -307,7 +307,7 @@ class Material(Section, frozen=True):
     Attributes:
         rigid: coefficients with the arms locked; a vehicle without a lock uses only these.
         flexible: coefficients with the arms unlocked; required for a vehicle with a lock.
-        source: source of the numbers, measured or assumed.
+        source: origin of the numbers; states whether they are measured or assumed.
     """
 
     rigid: Coefficients

@@ -28,7 +28,7 @@ from dart_flight.config.vehicle.simulation import Simulation
 
 
 class VehicleConfig(Section, frozen=True, kw_only=True):
-    """The whole of `configs/dart.yaml`.
+    """A vehicle's whole configuration, the type of `configs/dart.yaml`.
 
     Attributes:
         version: version of the file format.
@@ -114,7 +114,7 @@ def packaged(*parts: str) -> Path:
         path = root.joinpath(*parts)
         if path.exists():
             return path
-        if len(parts) > 1 and path.parent.is_dir():  # only a checkout has such a folder
+        if len(parts) > 1 and path.parent.is_dir():  # the folder exists only in a checkout
             known = sorted(other.name for other in path.parent.iterdir())
             raise InputError(
                 f"is not a packaged file: {unknown_name(path.name, known)}", source="/".join(parts)
@@ -253,7 +253,7 @@ def _refuse_unflyable(config: VehicleConfig, document: Document) -> None:
 
 
 def _set_last(document: Document, first: Key, second: Key) -> Key:
-    """Return `second` if it was set in a later file than `first`, otherwise `first`."""
+    """Return the one of two keys that a later file has set; `first` if both are from the same file."""
     names = list(document.set_by)
     if second not in names or (first in names and names.index(first) > names.index(second)):
         return first
@@ -281,6 +281,6 @@ def _merge_base(document: Document, seen: tuple[Path, ...] = ()) -> Document:
                 node[part] = {}
             node = node[part]
         node[key[-1]] = value
-        merged.set_by.pop(key, None)  # remove the key first, so that the dict has the order of the files
+        merged.set_by.pop(key, None)  # a dict keeps a key's old place, so remove the key first
         merged.set_by[key] = document.error(key, "").one_line()
     return merged

@@ -23,7 +23,7 @@ class BatteryModel(Section, frozen=True):
 
     Attributes:
         reference_v: battery voltage at which thrust.full_n was calibrated.
-        exponent: 0: thrust is independent of the voltage; `calibrate thrust` fits the exponent.
+        exponent: 0 if the thrust does not depend on the voltage; `calibrate thrust` fits the exponent.
     """
 
     reference_v: Volts
@@ -35,7 +35,7 @@ class ArmVibration(Section, frozen=True):
 
     Attributes:
         frequency_hz: undamped natural frequency.
-        damping_ratio: 0: none, 1: critical.
+        damping_ratio: 0 without damping, 1 at critical damping.
         mass_fraction: the arms' fraction of the vehicle's mass.
     """
 
@@ -110,9 +110,9 @@ class Detection(Section, frozen=True):
             threshold.
         threshold_test: the force that is compared with the threshold. magnitude: the horizontal force;
             per_axis: the larger of its two components along the mission's axes.
-        peak_wait_s: timeout for the peak, from the onset.
+        peak_wait_s: longest time from the onset until the detector reports the peak.
         refractory_s: time after a contact in which no new impact is registered.
-        noise_sigma: the threshold is at least this multiple of the measured noise of the compared force.
+        noise_sigma: the threshold is at least this multiple of the measured noise of the tested force.
     """
 
     force_threshold_n: Annotated[float, Meta(gt=0.0, le=1000.0)]

@@ -21,8 +21,8 @@ class GuardThresholds(Section, frozen=True):
             lands.
         battery_remaining: if the remaining charge is below this fraction, the vehicle lands.
         battery_v: if the battery voltage is below this, the vehicle lands.
-        kill_after_s: stop the motors if the vehicle is still armed after this time in PX4's land mode; at
-            least three times the expected descent time; null: never.
+        kill_after_s: if the vehicle is still armed in PX4's land mode after this time, and after three times
+            the expected descent time, the motors stop; null: never.
         wall_late_s: if no contact occurs within this time after the planned impact, the vehicle breaks off.
         wall_early_m: a contact farther than this in front of the wall's plane is not a contact with the
             planned wall, and the vehicle breaks off.
@@ -63,12 +63,12 @@ class Flying(Section, frozen=True):
         yaw_rate_deg_s: largest yaw rate of the reference.
         steady_run_s: time at constant speed before the wall, for the vehicle to settle at the impact
             velocity.
-        setpoint_delay_s: delay from the stamp of an odometry sample until the autopilot executes the setpoint
-            computed from this sample. The setpoint is the reference at the sample's time plus this delay.
-            null: 0.024 with PX4, none in the embedded simulator.
+        setpoint_delay_s: time from the stamp of an odometry sample until the autopilot executes the setpoint
+            for this sample. The setpoint is the reference at the sample's time plus this delay. null: 0.024
+            with PX4, 0 in the embedded simulator.
         attitude_delay_s: delay of the attitude's rate loop, in addition to setpoint_delay_s. The setpoint's
             acceleration and jerk are those of the reference at the sample's time plus both delays. null: 0.05
-            with PX4, none in the embedded simulator.
+            with PX4, 0 in the embedded simulator.
         ready_timeout_s: timeout for telemetry, for offboard mode, for arming, and for the end of a climb or
             transit.
         replan_within_s: time from the end of a contact to the start of a trajectory planned in flight; the

@@ -17,8 +17,8 @@ class Cam(Section, frozen=True):
     Theta ranges from theta_0 to theta_0 + 90°.
 
     Attributes:
-        r_cam_mm: r_cam of the equation.
-        r_mm: r of the equation, at most r_cam_mm.
+        r_cam_mm: radius r_cam of the equation.
+        r_mm: radius r of the equation, at most r_cam_mm.
         theta0_deg: theta_0 of the equation: the cam angle with retracted rods.
     """
 
@@ -43,7 +43,7 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: the servo is at an end if the pulse width differs from the end's by at most this value.
+        tolerance_us: the servo is at an end if it is within this pulse width of the end's pulse width.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -206,8 +206,8 @@ class LimitSwitch(Section, frozen=True):
 
     Attributes:
         chip: GPIO chip, such as /dev/gpiochip0.
-        rigid_line: line of the switch at the rigid end; null: none.
-        flexible_line: line of the switch at the flexible end; null: none.
+        rigid_line: line of the switch at the rigid end; null: there is no switch.
+        flexible_line: line of the switch at the flexible end; null: there is no switch.
         active_low: whether a closed switch pulls its line to ground.
     """
 
@@ -243,7 +243,8 @@ NO_LOCK = "none"  # value of `driver` if the vehicle has no lock; the other keys
 
 
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md); absent without this section or with the driver `none`.
+    """The locking mechanism (docs/lock.md); the vehicle has none if the section is missing or `driver` is
+    `none`.
 
     Attributes:
         driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are
@@ -252,8 +253,8 @@ class LockConfig(Section, frozen=True):
         home_mode: mode into which `home` moves the lock.
         relaxation_s: time that the lock waits after a contact before it may move, so that the arms can spring
             back.
-        timeout_s: timeout of the travel, and of the readings of a limit switch. After a timeout, the lock is
-            in fault.
+        timeout_s: the lock is in fault if its travel takes longer, or if a limit switch cannot be read for
+            longer.
         debounce_s: minimum duration of a limit-switch change or pulse loss; shorter changes are ignored.
         limit_switch: {chip: /dev/gpiochip0, rigid_line: 23, flexible_line: 24, active_low: true}, with one or
             both lines; null: there is no switch, and a movement of the lock counts as complete after the

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-_LINEAR: Final = 1e-6  # minimum fraction of the square term; a smaller fraction counts as zero
+_LINEAR: Final = 1e-6  # a curve with a smaller fraction of the square term counts as linear
 
 
 class MotorCurve:

@@ -37,7 +37,7 @@ class ContactBody(Section, frozen=True):
         fold_share: movement of an unlocked arm and its motor, as a fraction of the guard's penetration; 0:
             motors do not move.
         scatter: relative standard deviation of the coefficients from impact to impact.
-        half_engaged: whether the rods stop half-way, so that the arms are neither locked nor unlocked.
+        half_engaged: whether the rods stop half-way, which leaves the arms neither locked nor unlocked.
     """
 
     body: BodyModel = BodyModel.GUARDS
@@ -78,7 +78,7 @@ class Simulation(Section, frozen=True, kw_only=True):
     Attributes:
         imu_noise_m_s2: standard deviation of one accelerometer sample, per axis.
         pose_rate_hz: rate of the motion capture.
-        pose_delay_s: delay of the motion capture.
+        pose_delay_s: age of a motion-capture pose when it reaches the autopilot.
         arm_vibration: vibration of the unlocked arms in the simulated IMU; null: none.
         ground_stiffness_n_m: stiffness of the ground under a resting vehicle.
         ground_damping_n_s_m: damping of the ground under a resting vehicle.

@@ -68,8 +68,7 @@ class HeadingStep:
         return self._turns[0][1] if self._turns else None
 
     def step_since(self, before: Quaternion) -> float:
-        """Return the heading's step since the time of `before` (a former `self.before`), rad, clockwise
-        positive.
+        """Return the heading's step since the rotation `before`, rad, positive clockwise seen from above.
 
         `self.before` must not be None.
         """
