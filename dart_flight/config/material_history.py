@@ -1,4 +1,4 @@
-"""The dated history of identified coefficients, in a file beside the vehicle's configuration.
+"""History of the identified coefficients, with dates, in a file beside the vehicle's configuration.
 
 `dart-flight series apply` adds entries, and `check` reports the age of the newest entry of each material.
 """

@@ -72,7 +72,7 @@ class GoalSpec(Section, frozen=True):
     Attributes:
         position_m: [x, y], mission frame.
         capture_radius_m: maximum distance at which the goal counts as reached.
-        hold_s: hold time at the goal before landing.
+        hold_s: time at the goal before the landing.
     """
 
     position_m: Point2
@@ -84,8 +84,8 @@ class BoundsSpec(Section, frozen=True):
     """The flight space, mission frame: [low, high] per axis.
 
     Attributes:
-        x, y: limits of the position, m, both as measured and after an immediate stop.
-        z: limits above the take-off point, m; take-off and landing are exempt.
+        x, y: limits of the vehicle's position, and of the point at which it would stop if it braked now, m.
+        z: limits of the height above the take-off point, m; they do not apply to take-off and landing.
     """
 
     x: Range
@@ -349,7 +349,7 @@ class CollisionKeys(Section, frozen=True, kw_only=True):
             touched.
         if_not_met: a wall that an earlier probe searches for; the collision is flown only if that wall was
             not touched.
-        peak_limit_n: largest measured peak force of this impact, normal and friction together. A larger peak
+        peak_limit_n: limit of this impact's measured peak force, normal and friction together. A larger peak
             breaks the mission off. null: only limits.peak_force_n applies.
     """
 
@@ -433,7 +433,7 @@ class WaypointSpec(WaypointKeys, frozen=True, kw_only=True):
 
 
 class Tolerance(Section, frozen=True):
-    """Allowed differences between plan and flight for `plan_followed`.
+    """Allowed differences between plan and flight; within them, the verdict reports `plan_followed`.
 
     Attributes:
         impact_m_s: allowed difference of each component of the impact velocity.

@@ -1,4 +1,4 @@
-"""Probes of a mission file: legs that search for walls, and the walls at initially unknown positions."""
+"""Conversion of a mission file's probes to legs that search for walls, and to walls at assumed positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state folder: data of one account that outlives a process.
+"""The folder for an account's data that must outlive a process.
 
 `$DART_FLIGHT_STATE_DIR` names the folder; the default is in the XDG state folder.
 """

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# Units by the ending of a name; the longest match counts.
+# Units by the ending of a name; if several endings match, the longest counts.
 _ENDINGS = {
     "_m_per_n": "m/N",
     "_n_per_rpm2": "N/rpm²",

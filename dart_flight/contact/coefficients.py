@@ -1,4 +1,4 @@
-"""Contact coefficients of many collisions as arrays."""
+"""Contact coefficients of many collisions, stored as arrays for the vectorised contact model."""
 
 from __future__ import annotations
 

@@ -239,7 +239,7 @@ def _solve_without_push(s: _Shape, normal: Array, tangential: Array) -> tuple[Ar
 def _solve_with_push(
     c: CoefficientArrays, mass: Array, onset: Onset, state: tuple[Array, Array, Array]
 ) -> tuple[tuple[Array, ...], Array]:
-    """Return the eight arrays of `WallContact`, and the largest outward speed in contact.
+    """Return the eight arrays of `WallContact`, and the largest outward speed during the contact.
 
     `state` is the normal velocity, the tangential velocity and the acceleration.
     """

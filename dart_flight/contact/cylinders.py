@@ -47,7 +47,7 @@ _DOWN: Final = (0.0, 0.0, 1.0)  # NED
 
 
 class Cylinder(NamedTuple):
-    """An upright cylinder: a point of its axis in NED, and its radius in metres."""
+    """An upright cylinder; `axis` is a point of its axis in NED, metres."""
 
     axis: Vec3
     radius_m: float
@@ -185,7 +185,7 @@ class CylinderContact:
 
 
 class PostContact:
-    """A free-standing cylinder in contact with the outline.
+    """A free-standing cylinder (post), and its contact with the outline.
 
     `depths` is the deflection of each guard at the last call of `touch`, metres.
     """

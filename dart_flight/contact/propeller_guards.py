@@ -72,7 +72,7 @@ class BodyMotion(NamedTuple):
 
 
 class GuardLaw(NamedTuple):
-    """The parts of the contact law that do not depend on material and mode.
+    """Parameters of the contact law that do not depend on material and mode.
 
     Attributes:
         vertical_sign: -1 if the vertical force points up, like lz in the paper; 1 if it points down.
@@ -91,7 +91,7 @@ class WallLoad(NamedTuple):
         force: total force, world frame, newton.
         torque: torque about the centre of mass, body FRD, N m.
         friction_n: sum of the friction forces along the tangent, signed.
-        normal: outward normal at the strongest contact.
+        normal: outward normal of the surface with the largest force.
     """
 
     force: Vec3

@@ -28,7 +28,7 @@ class ApproachGrid(NamedTuple):
         impact_x, impact_y: point at which the centre reaches the wall's plane, mission frame, m.
         begin_x, begin_y: point at which the run-up starts, mission frame, m.
         impact_s: time from the start of the run-up to the impact.
-        transit_s: duration of the transit from the task's `start` to the run-up point.
+        transit_s: duration of the flight from the task's `start` to the run-up point.
     """
 
     wall: Wall

@@ -197,7 +197,7 @@ class Constraints:
         return leaves
 
     def last_setpoint(self, leg: SetpointResponse, hit: Wall) -> Codes:
-        """Refuse a last recovery setpoint that is behind another wall."""
+        """Refuse each candidate whose last recovery setpoint is behind another wall than the one hit."""
         codes = np.zeros(leg.size, dtype=np.int8)
         place, target = (leg.x[0] + leg.goal_x, leg.y[0] + leg.goal_y), (leg.goal_x, leg.goal_y)
         for wall in self.walls:

@@ -86,7 +86,7 @@ _KEPT: Final = 4
 _STEPS: Final = 10
 _SETTLED: Final = 1e-2  # the search ends when a step reduces the cost by less
 _DAMPINGS = np.array([1.0, 10.0, 100.0])  # damping factors, all tried at every step
-_DIFFERENCE: Final = 1e-5  # step of a parameter for the numerical derivatives
+_DIFFERENCE: Final = 1e-5  # change of a parameter for its numerical derivative
 _SUBSTEPS: Final = 2  # integration steps per tick
 _FINE: Final = 4  # integration steps per tick when the torque's peak is computed
 _MAX_TICKS: Final = 36  # if there are more ticks, neighbouring ticks are merged
@@ -160,8 +160,8 @@ class ContactReadings(NamedTuple):
     """The readings of one contact, and the prior information for its fit.
 
     Attributes:
-        ticks: readings from a few ticks before the first touch until shortly after the contact.
-        touched_s: approximate time from the beginning of the first tick to the first touch.
+        ticks: readings, from a few ticks before the first touch until shortly after the release.
+        touched_s: approximate time of the first touch after the beginning of the first tick.
         velocity: PX4's velocity at the touch along the planned wall's axes, m/s.
         incidence_rad: angle of incidence to the planned wall at the touch.
         noise_n, noise_nm: standard deviation of a force reading and of a torque reading.
@@ -276,7 +276,8 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters. The start of the wall's angle makes the angle of incidence equal `lead`.
+        """Return start parameters. The start value of the wall's angle makes the angle of incidence equal to
+        `lead`.
 
         The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the peak
         force. A point mass has the peak force v (k m)^0.5.

@@ -47,7 +47,7 @@ def full_scale_n(mission: Mission) -> float:
 
 
 def expected_force_n(mission: Mission, collision: Collision) -> float | None:
-    """Return a collision's expected peak force, normal and friction together, or None."""
+    """Return a collision's expected peak force, normal and friction combined, or None if it is unknown."""
     hit = expected_hit(mission, collision)
     return None if hit is None else math.hypot(hit.peak_normal_force_n, hit.peak_friction_force_n)
 

@@ -86,7 +86,7 @@ def loop_matrix(loop: PositionLoop, drag_per_s: float) -> Array:
 
 
 class _Axis:
-    """The loop's solution along one axis, tabulated over the time grid."""
+    """Tables of the loop's solution along one axis, at the points of the time grid."""
 
     def __init__(self, matrix: Array, count: int) -> None:
         self.matrix = matrix
@@ -106,7 +106,7 @@ class _Axis:
 
 
 class FreeFlight:
-    """The position loop of one vehicle, tabulated up to the time `horizon_s`."""
+    """Tables of the position loop of one vehicle, from 0 to `horizon_s`."""
 
     def __init__(self, vehicle: VehicleConfig, horizon_s: float) -> None:
         self.loop = PositionLoop.from_px4(vehicle.px4)

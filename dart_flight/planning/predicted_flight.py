@@ -57,7 +57,7 @@ class PredictedContact(NamedTuple):
 
 
 class PredictedFlight(msgspec.Struct):
-    """The flight model's prediction for a mission.
+    """The path of a mission as the flight model predicts it.
 
     Attributes:
         approaches: line of each approach, by the index of the approached collision; mission frame, metres. A

@@ -83,7 +83,7 @@ class _EndStates(NamedTuple):
 
 
 class Replanner:
-    """Planner of new trajectories during one flight."""
+    """Planner that answers the `PlanRequest`s of one flight."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission

@@ -55,9 +55,9 @@ class PredictedContacts(NamedTuple):
         t_s: time from the start of the run-up to the onset.
         x, y: position at the onset, mission frame.
         normal_m_s, tangential_m_s: velocity at the onset, collision frame.
-        normal_n, tangential_n: peaks of the force.
+        normal_n, tangential_n: peaks of the normal and of the friction force.
         duration_s: duration of the contact.
-        leg: state at the release, and recovery setpoint.
+        leg: state at the release and recovery setpoint, as the initial values of the following flight.
     """
 
     wall: Wall
@@ -89,7 +89,7 @@ class Arrivals(NamedTuple):
         t_s: time from the start of the run-up to the closest approach to the goal.
         force_n: largest peak force of all collisions.
         x, y, vx, vy: state at the closest approach.
-        hits: the contacts, if requested.
+        hits: the contacts with all walls, if `keep_hits`; otherwise empty.
     """
 
     rows: Rows
@@ -121,7 +121,7 @@ class _AtWall(NamedTuple):
 
 
 class _Released(NamedTuple):
-    """Candidates released from a wall; arrays (n,)."""
+    """Candidates at their release from a wall; arrays (n,)."""
 
     rows: Rows
     modes: Rows  # index of the mode sequence so far, as in `itertools.product`

@@ -20,7 +20,7 @@ from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 from dart_flight.core.mission.wall_uncertainty import position_margin_m
 
 _SPEED_M_S = 0.5  # speed of a probe; at this speed both modes are still detected reliably
-_RUN_UP_M = 0.5  # distance of the run-up point from the nearest possible position of the wall
+_RUN_UP_M = 0.5  # distance of the run-up point from the wall at its nearest possible position
 _BACK_M = 0.5
 # Points of contact in the order of trial: offset from the wall's middle, as a fraction of its length.
 _ALONG = (0.0, 0.2, -0.2, 0.35, -0.35)

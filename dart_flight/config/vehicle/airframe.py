@@ -54,8 +54,8 @@ class Airframe(Section, frozen=True, kw_only=True):
         arm_x_m: distance of a motor from the centre of mass, forward.
         arm_y_m: distance of a motor from the centre of mass, sideways.
         yaw_torque_per_thrust_m: drag torque of a propeller over its thrust, N m per N.
-        guard_along_m: distance from the middle of a side to each of the side's two guard points, which touch
-            a wall first.
+        guard_along_m: distance from the middle of a side to each of its two guard points, which touch a wall
+            first.
         guard_ring_m: radius of a ring around each propeller, for drawings; null: the guard is drawn as an
             octagon through the guard points.
         listed: 4 to 8 motors in PX4's order, for an airframe that is not an X quadrotor (arm_x_m and arm_y_m

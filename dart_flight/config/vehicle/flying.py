@@ -61,7 +61,7 @@ class Flying(Section, frozen=True):
         acceleration_m_s2: largest acceleration of the reference, the motion that the setpoints command.
         jerk_m_s3: largest jerk of the reference; null: derived from speed and acceleration.
         yaw_rate_deg_s: largest yaw rate of the reference.
-        steady_run_s: time at constant speed before the wall, for the vehicle to settle at the impact
+        steady_run_s: time at constant speed before the wall, in which the vehicle settles at the impact
             velocity.
         setpoint_delay_s: time from the stamp of an odometry sample until the autopilot executes the setpoint
             for this sample. The setpoint is the reference at the sample's time plus this delay. null: 0.024

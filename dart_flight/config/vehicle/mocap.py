@@ -23,7 +23,7 @@ class MotionCapture(Section, frozen=True):
         heading_deg: direction of the room's x axis, or of its z axis if y is up, clockwise from PX4's north.
         body_offset_m: position of the vehicle's centre in the axes of the marker body.
         body_yaw_deg: direction of the vehicle's nose in the marker body, counter-clockwise from its x axis.
-        delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must have the same value; null: not
+        delay_ms: age of a pose when it reaches PX4; EKF2_EV_DELAY must have the same value. null: not
             measured.
     """
 

@@ -33,10 +33,10 @@ class ContactBody(Section, frozen=True):
             `--vary guard_height_m` draws it.
         friction_lever_share: lever arm of friction about the centre of mass, as a fraction of the guards'
             lever arm; 0: friction acts at the centre of mass, 1: at the guards.
-        vertical_lever_m: lever arm of the vertical force, from the centre of mass outwards.
+        vertical_lever_m: lever arm of the wall's vertical force, outwards from the centre of mass.
         fold_share: movement of an unlocked arm and its motor, as a fraction of the guard's penetration; 0:
             motors do not move.
-        scatter: relative standard deviation of the coefficients from impact to impact.
+        scatter: relative standard deviation of the coefficients between impacts with the same wall.
         half_engaged: whether the rods stop half-way, which leaves the arms neither locked nor unlocked.
     """
 
@@ -77,7 +77,7 @@ class Simulation(Section, frozen=True, kw_only=True):
 
     Attributes:
         imu_noise_m_s2: standard deviation of one accelerometer sample, per axis.
-        pose_rate_hz: rate of the motion capture.
+        pose_rate_hz: rate of the motion capture's poses.
         pose_delay_s: age of a motion-capture pose when it reaches the autopilot.
         arm_vibration: vibration of the unlocked arms in the simulated IMU; null: none.
         ground_stiffness_n_m: stiffness of the ground under a resting vehicle.

@@ -44,7 +44,7 @@ class FailsafeEvidence:
             self._rank, self._words, self._text_us = rank, words, now_us
 
     def is_mentioned(self, now_us: int) -> bool:
-        """Return whether PX4 has mentioned a failsafe, so that a mode change comes from PX4, not a pilot."""
+        """Return whether PX4 has mentioned a failsafe; a change of mode is then PX4's, not a pilot's."""
         return self._rank_at(now_us) >= _MENTIONED
 
     def announcement(self, now_us: int) -> str | None:

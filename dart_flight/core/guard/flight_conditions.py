@@ -278,7 +278,7 @@ class FlightConditions:
         self.others.add_sample(name, item)
 
     def _record_pause(self, host_us: int) -> None:
-        """Record a pause of this program: no tick has arrived since the previous step."""
+        """Record a pause of this program, from the previous step until `host_us`."""
         pause_us = host_us - self._stepped_us
         if pause_us > self._pause_us or host_us - self._paused_us > _PAUSE_MEMORY_US:
             self._pause_us, self._paused_us = pause_us, host_us

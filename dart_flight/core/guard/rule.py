@@ -31,7 +31,7 @@ class RuleCondition(NamedTuple):
     """The condition that fires a rule.
 
     Attributes:
-        description: for the manual's table.
+        description: the condition in words, for the manual's table.
         threshold: limits that `cause` applies, as text: keys of configuration or mission, or constants.
         cause: if None, a finding of the mission fires the rule.
     """
@@ -54,7 +54,7 @@ class Rule(NamedTuple):
     """One rule.
 
     Attributes:
-        name: as in the log and in the verdict.
+        name: the rule's name in log and verdict.
         at_once: types of the inputs that trigger an immediate evaluation. Modes, arming and requests are
             urgent; some other conditions last for a single sample only.
         by_person: whether a person has taken over when the rule fires. The flight then counts as released,

@@ -89,7 +89,7 @@ def is_blocked(
     end_clearance_m: float = CLEARANCE_M,
     begin_clearance_m: float = CLEARANCE_M,
 ) -> Number:
-    """Return whether a wall blocks a segment, or the segment begins too close behind the wall.
+    """Return whether a segment crosses a wall, or begins too close to the wall's plane.
 
     A segment that passes the wall's end must keep the distance `end_margin_m` from this end.
     `end_clearance_m` and `begin_clearance_m` are the required distances of `b` and `a` from the plane.

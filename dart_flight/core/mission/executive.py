@@ -203,7 +203,7 @@ class Executive:
             p.outputs.append(VehicleCommand(state.now_us, action))
 
     def _move_lock(self, mode: Mode, state: FlightState, p: Proposal) -> bool:
-        """Command the lock to a mode if needed and permitted; return whether the lock is settled in it."""
+        """Command a mode of the lock if needed and permitted; return whether the lock has settled in it."""
         order = self._lock.command(self.progress.lock, mode, state)
         if order is not None:
             self.progress.lock = self.progress.lock._replace(commanded=mode, commanded_us=state.now_us)

@@ -32,7 +32,7 @@ def recovery_offset(force_n: tuple[Number, Number], alphas_m_per_n: Vec2) -> tup
 def recovery_point(
     position: tuple[Number, Number], normal: Vec2, force_n: tuple[Number, Number], alphas_m_per_n: Vec2
 ) -> tuple[Number, Number]:
-    """Return the horizontal recovery setpoint, mission frame, metres; the arguments of `recovery_offset`.
+    """Return the horizontal recovery setpoint, mission frame, m, for the arguments of `recovery_offset`.
 
     `position` is p(t_c), `normal` the wall's outward unit normal.
     """

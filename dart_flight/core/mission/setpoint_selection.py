@@ -126,7 +126,7 @@ class SetpointSelection:
         return make_setpoint(frame, trigger, reference, heading.commanded, free, added), heading
 
     def coasts(self, progress: MissionProgress, state: FlightState) -> bool:
-        """Return whether a trajectory of the mission is about to continue after a contact.
+        """Return whether the vehicle waits after a contact for one of the mission's trajectories to begin.
 
         The vehicle then coasts, because a distant recovery setpoint would wind up PX4's integrator and push
         the vehicle off that trajectory.

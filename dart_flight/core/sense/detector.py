@@ -222,7 +222,7 @@ class ImpactDetector:
         return self._detecting_window is not None
 
     def thresholds_n(self) -> tuple[float, float, float, float]:
-        """Return the thresholds of one sample, the mean of two, the short and the long window, newton.
+        """Return the thresholds, newton, of one sample and of the means over two samples and both windows.
 
         Each is the larger of the configured threshold and a multiple of the learnt noise.
         """

@@ -143,7 +143,8 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and its derivative.
+    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and the impulse's
+    derivative.
 
     The derivative is with respect to the log frequency. The derivative is a finite difference between two
     frequencies whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants

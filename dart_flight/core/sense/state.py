@@ -57,8 +57,8 @@ class FlightState:
         self.actuator: ActuatorSample | None = None
         self.pose: PoseSample | None = None  # from motion capture, if this program forwards poses
         self.status = StatusSample(t_us=0, received_us=0)
-        self.in_offboard = self.on_ground = False  # as reported by PX4
-        self.position_sd_m: float | None = None  # horizontal, as reported by PX4
+        self.in_offboard = self.on_ground = False  # from PX4's mode and land detector
+        self.position_sd_m: float | None = None  # horizontal standard deviation from PX4
         self.position_ahead_s: float | None = None  # lead over the IMU; negative if behind, None if not known
         self.lock = LockState(t_us=0, phase=LockPhase.UNKNOWN, mode=None)
         if not has_lock:
@@ -76,7 +76,7 @@ class FlightState:
         self.health: HealthReport | None = None
         self._px4_texts: dict[str, int] = {}  # PX4's last warnings or worse, oldest first, with their times
         self._found_on_link: dict[str, int] = {}  # this program's warnings about the link, with their times
-        self._refused: dict[str, str] = {}  # command -> PX4's refusal
+        self._refused: dict[str, str] = {}  # PX4's refusal, by command
 
     def update_odometry(self, sample: OdometrySample) -> bool:
         if not self.is_plausible(sample):
@@ -192,7 +192,7 @@ class FlightState:
                 del texts[next(iter(texts))]
 
     def text_about(self, beginning: str) -> str:
-        """Return the newest warning with this beginning, after a "; ", or an empty string."""
+        """Return "; " and the newest warning that starts with `beginning`, or an empty string."""
         texts = {**self._px4_texts, **self._found_on_link}
         found = [text for text in sorted(texts, key=lambda text: texts[text]) if text.startswith(beginning)]
         return f"; {found[-1]}" if found else ""

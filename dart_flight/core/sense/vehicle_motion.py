@@ -123,7 +123,7 @@ class VehicleMotion:
             if distance <= away:
                 best, away = sample, distance
             elif sample.t_us < t_us:
-                break  # the remaining attitudes are older
+                break  # all further attitudes are older
         if best is None:
             return None
         return advance_attitude(best.q_frd_to_ned, rate_frd, (t_us - best.t_us) * 1e-6)
