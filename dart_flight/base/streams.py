@@ -1,5 +1,4 @@
-"""The telemetry streams: Telemetry streams: MAVLink message, record, requested rate, and lowest rate for a
-mission.
+"""The telemetry streams: MAVLink message, record, requested rate, and lowest rate for a mission.
 
 `vehicle` requests the rates, and `check` compares the measured rates with the required rates. The guard
 checks the age of samples in host time. `vehicle.messages` decides whose message is accepted. PX4 rounds the

@@ -26,7 +26,7 @@ class VehicleSource(msgspec.Struct, frozen=True, omit_defaults=True):
         source: path of the configuration; None if built in Python. A path inside the working directory is
             relative.
         packaged: whether the configuration is the packaged file and not a file of the user.
-        mass_kg: the vehicle's mass, because most results depend on it.
+        mass_kg: the vehicle's mass; most results depend on it.
         set: keys changed by `--set` for this call, `KEY=VALUE`; omitted if there are none.
     """
 

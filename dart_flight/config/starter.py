@@ -1,5 +1,4 @@
-"""The starter files of a new project, copied from `configs/`, `missions/` and `docs/schemas/` to the same
-paths.
+"""The files of a new project, copied from `configs/`, `missions/` and `docs/schemas/` to equal paths.
 
 The paths are preserved because the files contain relative paths: a mission names its configuration, and the
 first line of each file names its schema. A file named after a vehicle (`configs/rigid_cage.yaml`, the folder

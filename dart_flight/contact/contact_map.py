@@ -23,9 +23,8 @@ w = sqrt(1 - zeta^2) and A = theta / w,
 The units of the four rows are 1/omega, 1, V/omega and m V omega. At and above critical damping an `lcp`
 contact never ends: its contact time is infinite and its exit speed is 0. The peak of the friction force has
 no elementary form. If a is not 0, the time of release has no elementary form either. A safeguarded Newton
-iteration finds both to
-machine precision. If a = 0, this module uses the formulas of the table. These formulas are six times faster
-than the general solution in `oscillator.py`.
+iteration finds both to machine precision. If a = 0, this module uses the formulas of the table, which are six
+times faster than the general solution in `oscillator.py`.
 
 All arrays are float64. Frame: the wall's collision frame (`base/walls.py`); a negative normal velocity is
 towards the wall.
@@ -69,7 +68,7 @@ class WallContact(NamedTuple, Generic[T]):
 
     Attributes:
         normal_out_m_s, tangential_out_m_s: velocity when the force returns to zero.
-        contact_time_s: duration of the force; infinite if the vehicle stays at the wall.
+        contact_time_s: time during which the force acts; infinite if the vehicle stays at the wall.
         penetration_m: largest distance of the vehicle's centre behind the plane of first touch.
         peak_normal_force_n: largest lx.
         peak_friction_force_n: largest |ly|.
@@ -91,7 +90,7 @@ class Drop(NamedTuple, Generic[T]):
     """Result of a drop; `T` is an array or a float.
 
     Attributes:
-        contact_time_s: duration of the force; infinite if the vehicle stays down.
+        contact_time_s: time during which the force acts; infinite if the vehicle stays down.
         max_rebound_speed_m_s: largest upward speed, reached in contact at lx = m g.
         peak_force_n: largest contact force lx.
         penetration_m: largest distance of the vehicle's centre below the plane of first touch.

@@ -276,8 +276,7 @@ class ContactFit:
         return found
 
     def _begin(self, lead: Array, believed: NDArray[np.bool_], mode: NDArray[np.intp]) -> Array:
-        """Return start parameters. The start value of the wall's angle makes the angle of incidence equal to
-        `lead`.
+        """Return start parameters. The wall's angle starts where the angle of incidence equals `lead`.
 
         The starts flagged in `believed` use the prior of k. For the other starts, k is computed from the peak
         force. A point mass has the peak force v (k m)^0.5.

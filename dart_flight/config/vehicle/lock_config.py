@@ -43,7 +43,7 @@ class Servo(Section, frozen=True):
         direction: 1: the cam angle increases with the pulse width; -1: it decreases.
         min_pulse_us: shortest allowed pulse.
         max_pulse_us: longest allowed pulse.
-        tolerance_us: the servo is at an end if it is within this pulse width of the end's pulse width.
+        tolerance_us: the servo is at an end if its pulse width is within this tolerance of the end's.
         supply_v: supply voltage of the servo, 4.8 to 6.0 V.
         s_per_60deg_at_4v8: time for 60 degrees at 4.8 V, s.
         s_per_60deg_at_6v0: time for 60 degrees at 6.0 V, s.
@@ -243,8 +243,7 @@ NO_LOCK = "none"  # value of `driver` if the vehicle has no lock; the other keys
 
 
 class LockConfig(Section, frozen=True):
-    """The locking mechanism (docs/lock.md); the vehicle has none if the section is missing or `driver` is
-    `none`.
+    """The locking mechanism (docs/lock.md); without this section, or with driver `none`, there is none.
 
     Attributes:
         driver: driver of the servo; mock: a modelled servo; none: there is no lock, and other keys are

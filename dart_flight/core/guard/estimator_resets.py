@@ -1,5 +1,4 @@
-"""Resets of PX4's estimator. ODOMETRY's reset counter gives the time of a reset, and the jumps of the
-estimate give its size.
+"""Resets of PX4's estimator. ODOMETRY's counter gives a reset's time, jumps of the estimate give its size.
 
 The guard evaluates the newest reset; the verdict lists all resets.
 """

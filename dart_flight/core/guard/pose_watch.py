@@ -51,7 +51,7 @@ _AGE_US: Final = 250_000
 _SENDERS_US: Final = 1_000_000
 _RECENT_US: Final = 5_000_000  # wrong poses may affect PX4's estimate for this time
 _FINISHED_FIRST: Final = frozenset((Phase.CONTACT, Phase.RECOVERY))
-_RECOVERED_S: Final = 0.5  # part of a recovery before the vehicle flies to the next wall or the goal
+_RECOVERED_S: Final = 0.5  # first part of a recovery; after it the vehicle flies to the next wall or the goal
 
 
 class PoseWatch:

@@ -571,7 +571,7 @@ class Executive:
         miss = distance2(state.position, self.mission.goal.position_m)
         self.progress.least_miss_m = min(self.progress.least_miss_m, miss)
         if self.progress.replan.trajectory is not None:
-            passed = self.progress.replan.is_over(state.now_us)  # its distance to the goal may first grow
+            passed = self.progress.replan.is_over(state.now_us)  # the distance to the goal may first grow
         else:
             rising = miss > self.progress.least_miss_m + PASSED_RISE_M
             # If the mission has a trajectory to the goal, allow time for its replanned version.

@@ -143,8 +143,7 @@ def _binned(readings: list[TickReading]) -> list[tuple[TickReading, int]]:
 
 
 class _Ends:
-    """The pulse at the end of a reading: force, impulse for a slope of 1, impulse, and the impulse's
-    derivative.
+    """The pulse at a reading's end: force, impulse for a slope of 1, impulse, and impulse's derivative.
 
     The derivative is with respect to the log frequency. The derivative is a finite difference between two
     frequencies whose logarithms differ by 1e-4, with the same damping and decay. Each frequency's constants
