@@ -47,7 +47,7 @@ from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _RATE_WINDOW_S = 1.0
 _HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
-_WORK_S = 0.05  # period of processing; logs are written at this period, and a screen may be slower
+_WORK_S = 0.05  # period at which queued records are processed, the same as a log's writing period
 _INPUTS = get_args(Input)
 
 

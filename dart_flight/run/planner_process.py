@@ -79,7 +79,7 @@ class PlannerProcess:
     def _answer_open(self) -> None:
         """Answer the requests that were open when the planner died."""
         while self._open:
-            with contextlib.suppress(KeyError):  # another thread has answered the request
+            with contextlib.suppress(KeyError):  # another thread has just answered the last request
                 number, request = self._open.popitem()
                 now_us, problem = self._host_us(), "the planner process ended"
                 if isinstance(request, PlanRequest):

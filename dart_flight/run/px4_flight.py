@@ -1,4 +1,4 @@
-"""World of a real PX4 SITL on our plant, through MAVSDK over UDP, in lockstep or in real time."""
+"""The world in which a real PX4 SITL flies the simulated plant, through MAVSDK, in lockstep or in real time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def fly_px4(
     fault: Fault | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly through MAVSDK over UDP with a real PX4 SITL on our plant, and return the verdict.
+    """Fly the simulated plant with a real PX4 SITL, through MAVSDK over UDP, and return the verdict.
 
     Args:
         directory: where PX4 is, or None to search for PX4 (`find_install`).

@@ -105,7 +105,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process. A vehicle in the air first flies on until its failsafe has acted."""
+        """End the process. If the vehicle is in the air, it first continues until its failsafe has acted."""
         self.process.end(timeout_s)
 
     def _receive(self, line: bytes) -> None:
@@ -126,7 +126,7 @@ class SimulatorProcess:
 
 
 class Px4SimulatorProcess(SimulatorProcess):
-    """Plant with a real PX4. PX4 ends together with the process of the plant."""
+    """The process of a plant that a real PX4 flies. PX4 ends together with this process."""
 
     ready_timeout_s = 60.0
     what = "the plant under PX4"
@@ -141,7 +141,7 @@ class Px4SimulatorProcess(SimulatorProcess):
 
 
 class HitlProcess(SimulatorProcess):
-    """Plant that sends simulated sensors to a flight controller."""
+    """The process of a plant that sends simulated sensor data to a flight controller."""
 
     ready_timeout_s = 60.0
     what = "the simulated vehicle connected to the flight controller"

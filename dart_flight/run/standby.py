@@ -47,7 +47,7 @@ from dart_flight.vehicle.motion_capture.source import AbsentSourceError, open_so
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0
-_CONNECT_S: Final = 5.0  # timeout of the autopilot's heartbeat in each attempt to connect
+_CONNECT_S: Final = 5.0  # in each attempt to connect, wait this long for the autopilot's heartbeat
 _ALIVE_S: Final = 0.5
 _SYSTEMD: Final = (
     "NOTIFY_SOCKET",
@@ -104,7 +104,7 @@ class StandbyDesk:
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
         """Return the mode to which the transmitter's switch moves the lock."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
-            return None  # a receiver without its transmitter may send preset positions
+            return None  # a receiver that has lost its transmitter may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
 
 
@@ -201,7 +201,7 @@ class Standby:
         """End standby, and pass each signal to a flight in progress.
 
         After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
-        The two signals differ, so that the flight does not take the second for a repetition of the first.
+        The two signals differ, so that the flight can distinguish the second from a repeated first signal.
         """
         self._stops += 1
         self._wake.set()

@@ -146,7 +146,7 @@ class _Pool(Generic[I, R]):
             try:
                 self._executor.submit(int).result()
             except (BrokenProcessPool, OSError):
-                time.sleep(_POLL_S)  # the fork server may have died as well; give it time to restart
+                time.sleep(_POLL_S)  # the fork server may have died as well, so allow time for its restart
             else:
                 return
         raise FlightError("worker process exited before its first flight")
