@@ -297,7 +297,7 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses: motion capture if PX4 fuses both, None if it fuses none.
+    """Return the position source that PX4 fuses: motion capture if it fuses both, None if it fuses neither.
 
     Args:
         values: parameters read from the vehicle.

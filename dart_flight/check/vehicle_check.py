@@ -75,7 +75,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Check PX4's motors against the motors of the configuration.
+    """Compare the motors in PX4's parameters with the motors in the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
     different distance is only a remark, because distances only scale the torque, and PX4 accepts them in any

@@ -58,7 +58,7 @@ class ParameterState(StrEnum):
 
     PRESENT = "present"
     ABSENT = "absent"
-    NOT_ANSWERED = "not answered"  # unknown whether the vehicle has the parameter
+    NOT_ANSWERED = "not answered"  # it is unknown whether the vehicle has the parameter
 
 
 class ParameterRow(msgspec.Struct, frozen=True):

@@ -14,7 +14,7 @@ from dart_flight.recording.reader import MAGIC, MAX_BYTES, DamagedLogError, LogE
 from dart_flight.recording.writer import part_path
 
 _HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_READ_BYTES = 8 * 1024 * 1024  # limit of one read
+_READ_BYTES = 8 * 1024 * 1024  # maximum number of bytes in one read
 
 
 class LogFollower:

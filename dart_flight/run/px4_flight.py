@@ -1,4 +1,4 @@
-"""The world in which a real PX4 SITL flies the simulated plant, through MAVSDK, in lockstep or in real time."""
+"""The world in which a real PX4 SITL flies the plant, through MAVSDK, in lockstep or in real time."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ class Shell:
         ]
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint immediately and return its latency; hold another setpoint for `_send_held`."""
+        """Send a recovery setpoint now and return its latency; hold any other setpoint for `_send_held`."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

@@ -1,5 +1,4 @@
-"""The kinds of time for the core's shell: real time, lockstep with a simulated world, or simulated time in
-process.
+"""The kinds of time for the core's shell: real time, lockstep with a world, or simulated time in process.
 
 In lockstep (`sim.lockstep`) the world waits for the application. The application counts its unfinished tasks:
 queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, the application sends

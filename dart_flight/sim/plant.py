@@ -70,9 +70,9 @@ from dart_flight.contact.propeller_guards import (
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # number of steps of 0.1 ms in one step of 1 ms
 _END_STEPS: Final = 40  # steps near a wall's end: a force may jump there as a guard leaves the surface
-_NEAR_WALL_M: Final = 0.08  # at more than this distance, no contact below 5 m/s begins
-_NEAR_END_M: Final = 0.03  # from more than this distance, no guard reaches an edge (1 cm) in one step
-_BEHIND_M: Final = -0.6  # a vehicle farther behind a plane is on the wall's other side
+_NEAR_WALL_M: Final = 0.08  # a vehicle farther away and slower than 5 m/s begins no contact
+_NEAR_END_M: Final = 0.03  # a guard farther from an edge cannot reach the edge (1 cm) in one step
+_BEHIND_M: Final = -0.6  # a vehicle farther behind the wall's plane is on the other side of the wall
 _REBOUND_S: Final = 0.01  # a guard that returns within this time continues the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
 _GROUND_M: Final = 0.01  # above this height, the landing gear touches nothing

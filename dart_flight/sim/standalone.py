@@ -1,4 +1,4 @@
-"""The simulated vehicle for another program: it has no pipe and sends no truth. A signal stops it."""
+"""The simulated vehicle for other programs, which receive only its MAVLink messages. A signal stops it."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ SERIAL_ERRORS = 0b0011_1111  # errors after which a command may be lost
 
 _ATTEMPTS = 3
 _MAX_POSITION = 4095 * QUARTERS_PER_US  # longest servo pulse
-_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # largest change of a moving position between two queries
+_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # a moving position changes by at most this much between two queries
 
 
 def error_names(bits: int) -> tuple[str, ...]:
