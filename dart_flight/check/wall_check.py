@@ -23,7 +23,7 @@ from dart_flight.planning.predicted_flight import PredictedContact, PredictedFli
 
 _INCIDENCE_SD = 2.0
 _OPPOSITE = -0.9  # maximum dot product of opposite walls' normals, up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # faces with a smaller gap count as back to back; it is below the measuring accuracy
+_SAME_PLACE_M = 0.005  # faces with a smaller gap, below the measuring accuracy, count as back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:

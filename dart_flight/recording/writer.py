@@ -1,5 +1,4 @@
-"""The flight log: The writer of a flight's log: MCAP with JSON messages and JSON Schemas, as Foxglove
-expects.
+"""The flight log: MCAP with JSON messages and their JSON Schemas, which Foxglove opens directly.
 
 Each record type has a channel (`topic` in `base.records`). The inputs of the core are numbered. If a message
 contains an input, its sequence number is this input's number. Any other message has the number of the input
