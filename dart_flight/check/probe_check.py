@@ -122,7 +122,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
         else:
             try:
                 approach = plan_approach(mission, collision)
-            except NoApproachError:  # `check_collisions` reports this error
+            except NoApproachError:  # the check `check_collisions` reports this error
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
             way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(

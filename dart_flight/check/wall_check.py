@@ -146,7 +146,7 @@ def _check_collision(
         max_incidence_deg(mission.vehicle, collision.mode),
     )
     off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
-    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a larger planned incidence
+    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a planned excess
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,

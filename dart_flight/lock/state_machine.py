@@ -144,7 +144,7 @@ class LockStateMachine:
         self._target: Mode | None = None  # commanded or found mode; kept in a fault for comparison
         self._pulses_off = False  # whether readings without pulses are expected
         self._begun_us = t_us  # time at which the current travel began
-        self._sent_us: int | None = None  # time at which the driver accepted the target's pulse
+        self._sent_us: int | None = None  # time from which the driver outputs the target's pulse
         self._closed_since_us: int | None = None  # time at which the target's switch closed during a travel
         self._wrong_since_us: int | None = None  # time at which the pulse or a switch became wrong
         self._last_reading_us = t_us

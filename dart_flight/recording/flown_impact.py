@@ -215,7 +215,7 @@ class ImpactCollector:
         return sorted(found, key=lambda one: one.t_us)
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact that the last detected contact began; None if this onset was not planned."""
+        """Return the impact of the last detected contact; None if this contact was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

@@ -22,8 +22,8 @@ from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import verdict_of
 
 FLIGHTS: Final = Path("flights")  # default folder of logs
-# A smaller mean excess does not show a wrong k: 20 % of k changes the peak by twice this limit. One flight
-# has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
+# A smaller excess does not show a wrong k: a 20 % change of k changes the peak by twice this limit. One
+# flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
 AGREES: Final = 0.05
 _ALONE: Final = 0.1
 _NEWEST: Final = 5  # number of logs to read, the newest first

@@ -89,7 +89,7 @@ class Simulator(Protocol):
 
 
 class WorldLink(NamedTuple):
-    """The link to a simulated world, and the clock that the app shares with it.
+    """The link to a simulated world, and the clock that app and world share.
 
     Attributes:
         clock: autopilot's clock, or None if the autopilot's time advances with real time.

@@ -294,7 +294,7 @@ class FastFlight:
         self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
 
     def fall_silent(self) -> None:
-        """Stop repeating the last setpoint; also called when the process of app and MAVSDK has ended."""
+        """Stop repeating the last setpoint; also called when a fault has ended the simulated app."""
         self._last_setpoint = None
 
     def finish(self) -> None:

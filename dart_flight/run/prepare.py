@@ -60,7 +60,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-NO_MOCAP = "none"  # value of `--mocap`: ignore `mocap.url` for one command
+NO_MOCAP = "none"  # with this value of `--mocap`, a command ignores `mocap.url`
 
 
 def with_mocap(mission: Mission, url: str | None) -> Mission:

@@ -68,7 +68,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    motors_from(values_of(parameters), mission.vehicle)  # raises InputError here, before PX4 starts
+    motors_from(values_of(parameters), mission.vehicle)  # wrong motors raise InputError before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
     if viewer is not None:

@@ -55,7 +55,7 @@ _SYSTEMD: Final = (
     "WATCHDOG_PID",
 )  # systemd's variables, which child processes must not inherit
 _TEXT_PAUSE_S: Final = 0.3  # pause between messages: PX4 buffers only about 580 bytes and drops the rest
-_LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
+_LAST_WORDS_S: Final = 0.3  # wait this long for the last answers before the connection closes
 _RADIO_S: Final = 3.0  # after this time without PX4's report, a remote control counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
 _NO_GOES: Final = 3  # the ground station receives this many no-gos of a check, and the journal all of them

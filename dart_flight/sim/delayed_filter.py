@@ -47,8 +47,8 @@ _INVALID_AFTER_S: Final = 5.0  # EKF2_NOAID_TOUT: after this time without a pose
 _BIAS_MOST_M_S2: Final = 0.4  # EKF2_ABL_LIM
 _BIAS_LEARNT_BELOW_M_S2, _BIAS_MEMORY_S = 25.0, 0.5  # EKF2_ABL_ACCLIM, EKF2_ABL_TAU
 _OUTPUT_S: Final = 0.25  # EKF2_TAU_POS, EKF2_TAU_VEL
-_START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # position, velocity, tilt, bias
-_NO_BIAS: Final = (0.0, 0.0, 0.0)  # the bias of the filter is FRD, and is already subtracted
+_START_SD: Final = np.repeat((0.01, 0.05, 0.02, 0.05), 3)  # of position, velocity, tilt and bias
+_NO_BIAS: Final = (0.0, 0.0, 0.0)  # the filter's own bias (FRD) is already subtracted
 _P, _V, _R, _B = (slice(3 * i, 3 * i + 3) for i in range(4))
 
 
@@ -74,7 +74,7 @@ class DelayedFilter:
         self._poses: deque[tuple[float, Vec3, Quaternion | None]] = deque()  # with assumed times
         self._ticks: list[tuple[Vec3, Vec3]] = []
         self._turn: Vec3 = (0.0, 0.0, 0.0)  # rate that corrects the output's attitude, rad/s
-        self._off_v: Vec3 = (0.0, 0.0, 0.0)  # sums of the output's errors
+        self._off_v: Vec3 = (0.0, 0.0, 0.0)  # integrated errors of the output
         self._off_p: Vec3 = (0.0, 0.0, 0.0)
         self._fused_s = now_s
         self._strongest_m_s2 = 0.0

@@ -85,8 +85,7 @@ def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> 
     """Return the current limit of the real-time factor.
 
     A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
-    report, or while a request to PX4 is open, it does not wait. Its telemetry could then run ahead of the
-    app.
+    report, or while PX4 has an open request, the world does not wait, and telemetry could run ahead.
     """
     held = lockstep is None or (connected and lockstep.limits_pace)
     return speed if held else min(speed, 1.0)

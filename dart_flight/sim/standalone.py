@@ -1,4 +1,4 @@
-"""The simulated vehicle for other programs, which receive only its MAVLink messages. A signal stops it."""
+"""The simulated vehicle for other programs, without a pipe to an app. A signal stops it."""
 
 from __future__ import annotations
 

@@ -216,7 +216,7 @@ class VehicleSession:
 
             def receive(stamp_us: int) -> int:
                 nonlocal received
-                if is_own:  # the clock must follow only this sender
+                if is_own:  # the clock must follow only the connected autopilot
                     received = self.clock.receive(stamp_us, received)
                 return received
 

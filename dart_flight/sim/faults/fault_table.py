@@ -44,7 +44,7 @@ class FaultSite(StrEnum):
 
 
 class FaultKind(msgspec.Struct, frozen=True):
-    """A row of the fault table; `value` is the fault's default size in `unit`, from `low` to `high`."""
+    """A row of the fault table; `value` is the default size in `unit`, and a size is from `low` to `high`."""
 
     name: str
     site: FaultSite

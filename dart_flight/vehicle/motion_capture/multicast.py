@@ -65,7 +65,7 @@ def card_address(address: PoseAddress) -> str | None:
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
     """Join a multicast group on the interface with address `card`; return the address.
 
-    If `card` is None, join on every interface, where the kernel would use one, and return the names. Raise
+    If `card` is None, join on every interface and return all names; the kernel would join on one. Raise
     OSError if no interface accepts the group.
     """
     if card is not None:
