@@ -26,7 +26,7 @@ _SAMPLES, _WARM = 550, 50
 _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 °C
 # Time of the step that finds a contact's peak, divided by a mean step's time (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
-_FLIGHT_FACTOR = 2.5  # time of a step in flight (0.07 to 0.08 ms) relative to a step at rest (0.03 ms)
+_FLIGHT_FACTOR = 2.5  # time of a step in flight (0.07 to 0.08 ms) divided by the time at rest (0.03 ms)
 _LEAST_MARGIN = 4.0  # minimum margin; below it, core, log and link together need more than one processor
 
 

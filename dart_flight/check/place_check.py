@@ -16,10 +16,7 @@ from dart_flight.core.mission.anchors import START_SD_M
 from dart_flight.core.mission.approach import is_blocked, is_blocked_by_post
 
 START_TOLERANCE_M: Final = 1.0  # maximum distance between a vehicle placed by hand and the mission's start
-_FITS_DEG, _MISFITS_DEG = (
-    15.0,
-    30.0,
-)  # maximum error of a correct heading, and minimum error of a wrong heading
+_FITS_DEG, _MISFITS_DEG = 15.0, 30.0  # maximum error of a correct heading, minimum error of a wrong heading
 _NEAR_RAD: Final = 0.01  # tolerance for rounded values such as 1.57 and 3.14
 _SIDES: Final = ("ahead", "right", "behind", "left")
 

@@ -23,8 +23,8 @@ from dart_flight.config.parameter_file import (
 from dart_flight.planning.positioning import PLAIN_GPS, effective_source, frame_problem
 
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
-_OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
-_HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
+_OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE: the sticks override offboard mode
+_HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and EKF2_GPS_CTRL: fuse the horizontal position
 _RTK_FIX = "rtk_fixed"
 _POSE_DELAY_TOLERANCE_MS = 30.0
 

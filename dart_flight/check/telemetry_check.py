@@ -146,7 +146,7 @@ def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
 
 # --- motor outputs -----------------------------------------------------------------------------------------
 
-_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in PX4's start order
+_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # banks of outputs, in the order in which PX4 starts them
 _MOTOR_1 = 101  # output function
 _SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: a value of -2 or less selects DShot, and -1 selects OneShot
 

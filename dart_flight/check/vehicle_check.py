@@ -49,7 +49,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
         message += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, message))
     if observed.blocking or observed.texts:
-        # This is only a remark: PX4 checks for its current mode, but `fly` arms in offboard mode.
+        # This is only a remark: PX4 checks its current mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings

@@ -58,7 +58,7 @@ class Log(msgspec.Struct, dict=True):
     Attributes:
         source: the file, or `IN_MEMORY`.
         about: description of the flight (`recording.about`).
-        end: data known only at the end, such as `lost`: the number of records that could not be written.
+        end: data that is known only at the flight's end, such as `lost`, the number of unwritten records.
         entries: records in the order written.
         complete: whether all parts of the log exist and the last part has its closing description.
     """

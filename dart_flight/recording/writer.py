@@ -31,7 +31,7 @@ from dart_flight.recording.schema import RECORD_TYPES, schema
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"
-ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
+ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records at the log's start and end
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MAX_PARTS = 16
 BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB per minute (docs/log.md)

@@ -44,7 +44,7 @@ class FlightRecord:
 
     Args:
         log_dir: parent folder of the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
-        drawn: random quantities of the simulated world: name -> value.
+        drawn: random quantities of the simulated world, a map from name to value.
 
     Attributes:
         onlookers: callbacks for every record, on the thread that produced it.

@@ -1,4 +1,4 @@
-"""Many flights of one mission for `dry-run --runs`, in parallel or one by one, and their summary."""
+"""Fly one mission many times for `dry-run --runs`, in parallel or one by one, and summarise the flights."""
 
 from __future__ import annotations
 

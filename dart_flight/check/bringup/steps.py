@@ -81,7 +81,7 @@ class NotDoneError(Exception):
 
 
 class Telemetry:
-    """The samples since the last `clear`, one queue per stream, and a force estimate (`force_at`)."""
+    """A store of the samples since the last `clear`, from which `force_at` estimates the force."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
