@@ -44,7 +44,7 @@ test: $(STAMP)
 test-rest: $(STAMP)  # slow tests: real time, PX4, campaigns, recipes, and pages of the manual that fly
 	$(BIN)/python -m tools.run_tests --rest
 
-test-all:  # runs the rest even if `make test` fails
+test-all:  # runs the slow tests even if `make test` fails
 	@status=0; $(MAKE) test || status=1; $(MAKE) test-rest || status=1; exit $$status
 
 bench: $(STAMP)

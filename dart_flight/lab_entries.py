@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any, Final
 
-# Commands of the lab; each is a module with `configure` and `run`, like those in `cli/`.
+# Commands of the lab; each is a module with the functions `configure` and `run`, as in `cli/`.
 COMMANDS: Final = {
     "campaign": "dart_flight.lab.commands.campaign_command",
     "plan": "dart_flight.lab.commands.plan_command",

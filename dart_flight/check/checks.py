@@ -62,7 +62,7 @@ from dart_flight.vehicle.command_server import Press, Result
 
 
 class Stage(StrEnum):
-    """The stage of a check; all checks of a stage need the same kind of inputs."""
+    """The stage of a check; all checks of a stage need the same inputs, such as a connected vehicle."""
 
     FILE = "file"  # checks of the mission file, which need no vehicle
     COMPUTER = "computer"  # the onboard computer

@@ -24,10 +24,10 @@ from dart_flight.run.prepare import flight_core_of
 
 _SAMPLES, _WARM = 550, 50
 _HOT_C, _TOO_HOT_C = 70.0, 80.0  # a Raspberry Pi 4 throttles its clock from 80 °C
-# Cost of the step that finds a contact's peak force, relative to a mean step (docs/results/raspberry_pi.md).
+# Time of the step that finds a contact's peak, divided by a mean step's time (docs/results/raspberry_pi.md).
 _PEAK_FACTOR = 12.0
-_FLIGHT_FACTOR = 2.5  # time of a step in flight (0.07 to 0.08 ms) relative to a step at rest (0.03 ms)
-_LEAST_MARGIN = 4.0  # minimum ratio; if it is lower, core, log and link together need more than one processor
+_FLIGHT_FACTOR = 2.5  # time of a step in flight (0.07 to 0.08 ms) divided by the time at rest (0.03 ms)
+_LEAST_MARGIN = 4.0  # minimum margin; below it, core, log and link together need more than one processor
 
 
 def check_lateness(mission: Mission) -> CheckFinding:

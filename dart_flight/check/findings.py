@@ -35,7 +35,7 @@ class CheckFinding(msgspec.Struct, frozen=True):
 
 
 class EndOfStageError(Exception):
-    """Findings that make the remaining checks of their stage meaningless."""
+    """An error that carries findings after which the remaining checks of the stage are meaningless."""
 
     def __init__(self, findings: Sequence[CheckFinding]) -> None:
         super().__init__()

@@ -19,8 +19,8 @@ from dart_flight.config.vehicle import Airframe
 
 SAMPLE_S: Final = 2.0  # duration of a measurement at one end
 _FEWEST: Final = 20  # minimum number of poses in one measurement
-_TRACKED: Final = 0.9  # required share of poses with a tracked body
-_MOVED_M: Final = 0.02  # largest distance of a pose from the mean
+_TRACKED: Final = 0.9  # minimum fraction of poses in which the body is tracked
+_MOVED_M: Final = 0.02  # maximum distance of a pose from the mean pose
 _TURNED_RAD: Final = math.radians(3.0)
 _TILT_RAD: Final = math.radians(6.0)
 _FLAT_RAD: Final = math.radians(12.0)  # largest angle between the wall and the side that touches it

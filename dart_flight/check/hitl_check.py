@@ -23,9 +23,9 @@ from dart_flight.lock.drivers import driver_names
 from dart_flight.vehicle.ground_link import HeartbeatMode
 
 HITL = "SYS_HITL"
-ON_A_BOARD = "HIL_ACT_FUNC1"  # only a board has this parameter; SITL has PWM_MAIN_FUNC1 instead
+ON_A_BOARD = "HIL_ACT_FUNC1"  # only PX4 on a board has this parameter; SITL has PWM_MAIN_FUNC1 instead
 BOARD = "SYS_USB_AUTO"  # POSIX builds lack this parameter
-WITH_IO = "PWM_AUX_FUNC1"  # a board names its own outputs AUX only if a PX4IO provides MAIN
+WITH_IO = "PWM_AUX_FUNC1"  # if a PX4IO provides MAIN, a board calls its own outputs AUX
 IO_OUTPUTS = [f"PWM_MAIN_FUNC{k}" for k in range(1, 9)]
 _MOTORS = range(101, 113)  # output functions "Motor 1" to "Motor 12"
 
@@ -47,7 +47,7 @@ def evaluate_hitl_parameters(values: Mapping[str, float]) -> list[CheckFinding]:
 def evaluate_own_parameters(
     mission: Mission, values: Mapping[str, float], position_from: PositionSource | None
 ) -> list[CheckFinding]:
-    """Check the vehicle's parameters as before a real flight, except those in `hitl.params`."""
+    """Check the vehicle's parameters as before a real flight, but skip the parameters in `hitl.params`."""
     wanted = hitl_parameters()
     return [f for f in evaluate_parameters(mission, values, position_from) if f.item not in wanted]
 

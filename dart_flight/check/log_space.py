@@ -10,7 +10,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.core.mission.approach import plan_transit, transit_segments
 from dart_flight.recording.writer import BYTES_PER_S
 
-_WAITS_FIRST = 4  # number of timeouts before the mission begins: telemetry, offboard mode, arming, climb
+_WAITS_FIRST = 4  # number of timeouts before the mission: for telemetry, offboard mode, arming and climb
 _LANDING_S = 60.0
 
 

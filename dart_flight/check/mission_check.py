@@ -49,9 +49,9 @@ from dart_flight.recording.later_flights import AGREES, FLIGHTS, contradicts, la
 
 _FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
-_WEAK = 1.3  # minimum ratio of an impact's force to the threshold; the detector may miss a weaker impact
+_WEAK = 1.3  # minimum ratio of an impact's force to the detection threshold; a weaker impact may be missed
 _SAME_M = 1e-6
-_NOT_MEASURED = ("assumed", "[example]")  # in a material's source, these mean "not measured"
+_NOT_MEASURED = ("assumed", "[example]")  # words in a material's source that mean "not measured"
 _LEG_POINTS = 50
 _PEAK_SPEED = 1.875  # ratio of a transit's peak speed to its mean speed
 
@@ -204,7 +204,7 @@ def _check_approach(
 def _describe_arrival(
     mission: Mission, collision: Collision, planned: PredictedFlight | None
 ) -> CheckFinding:
-    """Describe the predicted impact at the end of the previous recovery, at constant heading."""
+    """Describe the impact predicted at the end of the previous recovery, if the heading stays constant."""
     way = "recovery" if collision.trajectory is None else "trajectory"
     message = f"the {way} from the previous collision reaches wall {collision.wall.name}"
     incidence = incidence_deg(mission, collision)
@@ -291,7 +291,7 @@ def _check_envelope(
 
 
 def check_path(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
-    """Check the guard's conditions along the planned flight, and that the vehicle could stop in bounds."""
+    """Check the planned flight against the guard's limits, and that the vehicle could stop in bounds."""
     if planned is None:
         return []
     fastest = max(_states(mission, planned), key=lambda state: math.hypot(*state[2:]), default=(0.0,) * 4)
@@ -380,7 +380,7 @@ def _check_recovery(
         normal_n, friction_n = met.normal_n, abs(met.tangential_n)
     else:
         return []
-    along = math.copysign(friction_n, -velocity[1])  # friction acts against the motion
+    along = math.copysign(friction_n, -velocity[1])  # friction acts opposite to the tangential motion
     alphas = (collision.alpha_normal_m_per_n, collision.alpha_tangential_m_per_n)
     horizontal = recovery_point(place, collision.wall.normal, (normal_n, along), alphas)
     target = (*horizontal, mission.altitude_at(collision.index - 1))

@@ -51,7 +51,7 @@ _OF_ONE_BOARD = re.compile(
     r"|SYS_PARAM_VER|SYS_AUTOCFG_CAL"
 )
 
-Progress = Callable[[int, int], None]  # number of parameters read, total number
+Progress = Callable[[int, int], None]  # arguments: number of parameters read, and total number
 
 
 class ParameterReading(msgspec.Struct, frozen=True):

@@ -11,7 +11,7 @@ _ITEM = "pose_source"
 _RATE_SHARE = 0.8  # required fraction of mocap.rate_hz
 _LOST = 0.05  # allowed fraction of poses without a tracked body
 _AGE_MS, _GROWTH_MS = 100.0, 20.0
-_APART_M, _APART_DEG = 0.2, 10.0  # allowed deviation of PX4's estimate from the poses at rest
+_APART_M, _APART_DEG = 0.2, 10.0  # maximum deviation of PX4's estimate from the poses while the vehicle rests
 _ARRIVES_HZ = 0.2
 
 

@@ -18,8 +18,8 @@ from dart_flight.core.mission.course import ARRIVED_S
 from dart_flight.core.mission.trajectories import transit_time_s
 from dart_flight.core.mission.wall_uncertainty import SURE_SD, position_margin_m
 
-_REST_S, _RECOVERY_S = 1.5, 1.5  # assumed time from a contact to rest, and from a contact to the next wall
-_LEAST_FLEXIBLE_M_S = 0.3  # minimum speed; in slower contacts, the force of flexible arms is below the noise
+_REST_S, _RECOVERY_S = 1.5, 1.5  # assumed times from a contact to rest and from a contact to the next wall
+_LEAST_FLEXIBLE_M_S = 0.3  # minimum speed; at a lower speed, the force of flexible arms is below the noise
 
 
 def check_probe(mission: Mission, collision: Collision, probe: Probe) -> Iterator[CheckFinding]:
@@ -122,7 +122,7 @@ def _hit_times_s(mission: Mission) -> dict[int, float]:
         else:
             try:
                 approach = plan_approach(mission, collision)
-            except NoApproachError:  # `check_collisions` reports this error
+            except NoApproachError:  # the check `check_collisions` reports this error
                 return dict.fromkeys((c.index for c in mission.collisions), math.nan)
             way_m = 0.0 if here is None else math.dist(here, approach.begin[:2])
             transit_s = transit_time_s(

@@ -23,8 +23,8 @@ from dart_flight.config.parameter_file import (
 from dart_flight.planning.positioning import PLAIN_GPS, effective_source, frame_problem
 
 _NO_TERMINATION = 121212  # CBRK_FLIGHTTERM: PX4's magic number for "off"
-_OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE
-_HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and of EKF2_GPS_CTRL
+_OVERRIDE_IN_OFFBOARD = 2  # bit 1 of COM_RC_OVERRIDE: the sticks override offboard mode
+_HORIZONTAL = 1  # bit 0 of EKF2_EV_CTRL and EKF2_GPS_CTRL: fuse the horizontal position
 _RTK_FIX = "rtk_fixed"
 _POSE_DELAY_TOLERANCE_MS = 30.0
 
@@ -297,7 +297,7 @@ def _evaluate_pose_delay(
 
 
 def position_source(values: Mapping[str, float], gps_fix: str | None) -> PositionSource | None:
-    """Return the position source that PX4 fuses: motion capture if PX4 fuses both, None if it fuses none.
+    """Return the position source that PX4 fuses: motion capture if it fuses both, None if it fuses neither.
 
     Args:
         values: parameters read from the vehicle.

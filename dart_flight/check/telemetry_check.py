@@ -16,7 +16,7 @@ from dart_flight.vehicle.batteries import describe_reading
 from dart_flight.vehicle.ground_link import Observation, Source, unusable_streams
 
 LOOPBACK = "MAV_ODOM_LP"  # only PX4 versions before 1.14 have this parameter
-_REST_TOLERANCE = 0.3  # tolerance, as a fraction of g; wrong units cause an error by a factor of ten or more
+_REST_TOLERANCE = 0.3  # tolerance, as a fraction of g; a wrong unit changes the value at least tenfold
 _ARRIVES_HZ = 0.2  # minimum rate of a stream
 
 
@@ -55,7 +55,7 @@ def stream_rates(rates_hz: Mapping[str, float], unusable: Mapping[str, str]) -> 
 
 
 def evaluate_rates(observed: Observation, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Check the rate of each stream; the only parameter used is MAV_ODOM_LP (`LOOPBACK`), if present."""
+    """Check the rate of each stream; of the vehicle's parameters, only MAV_ODOM_LP (`LOOPBACK`) is used."""
     findings = []
     for stream in stream_rates(observed.rates_hz, unusable_streams(observed.sources)):
         go, message = stream.enough, stream.describe
@@ -146,9 +146,9 @@ def evaluate_resting_force(observed: Observation) -> list[CheckFinding]:
 
 # --- motor outputs -----------------------------------------------------------------------------------------
 
-_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # in PX4's start order
+_BANKS = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC")  # banks of outputs, in the order in which PX4 starts them
 _MOTOR_1 = 101  # output function
-_SLOWEST_DSHOT = -2  # value of PWM_<bank>_TIM<n>: -2 or less selects DShot, -1 OneShot
+_SLOWEST_DSHOT = -2  # PWM_<bank>_TIM<n>: a value of -2 or less selects DShot, and -1 selects OneShot
 
 
 def motor_output_names(values: Mapping[str, float], motors: int) -> list[str]:

@@ -49,7 +49,7 @@ def evaluate_observation(observed: Observation) -> list[CheckFinding]:
         message += f"; PX4 reports: {reasons}" if reasons else ""
     findings.append(CheckFinding("estimator", observed.local_position_ok, message))
     if observed.blocking or observed.texts:
-        # This is only a remark: PX4 checks for its current mode, but `fly` arms in offboard mode.
+        # This is only a remark: PX4 checks its current mode, but `fly` arms in offboard mode.
         begin = "PX4 would refuse to arm: " if observed.blocking else "PX4 reports: "
         findings.append(CheckFinding("px4_checks", True, begin + reasons, remark=True))
     return findings
@@ -75,7 +75,7 @@ def evaluate_mode(mode: HeartbeatMode | None) -> list[CheckFinding]:
 
 
 def evaluate_airframe(mission: Mission, values: Mapping[str, float]) -> list[CheckFinding]:
-    """Check PX4's motors against the motors of the configuration.
+    """Compare the motors in PX4's parameters with the motors in the configuration.
 
     A different number, order or direction of the motors invalidates the estimated thrust and torque. A
     different distance is only a remark, because distances only scale the torque, and PX4 accepts them in any

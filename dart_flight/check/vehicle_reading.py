@@ -80,7 +80,7 @@ def read_vehicle(
         round_trip_s = link.round_trip_s()
         late = evaluate_round_trip(mission, round_trip_s)
         if not late.go:
-            raise EndOfStageError([late])  # over such a link, reading the parameters takes minutes
+            raise EndOfStageError([late])  # over a link this slow, reading the parameters takes minutes
         observed = link.observe(mission.vehicle, _MEASURE_S)
         names = [*parameter_names(parse_release(observed.version)), COUNT]
         if lock is not None and lock.driver is LockDriver.PX4:

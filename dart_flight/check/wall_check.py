@@ -22,8 +22,8 @@ from dart_flight.planning.envelope import incidence_deg, max_incidence_deg
 from dart_flight.planning.predicted_flight import PredictedContact, PredictedFlight, impact_place
 
 _INCIDENCE_SD = 2.0
-_OPPOSITE = -0.9  # maximum dot product of two opposite walls' normals: up to 26 degrees from antiparallel
-_SAME_PLACE_M = 0.005  # walls with a smaller gap count as back to back; below the measuring accuracy
+_OPPOSITE = -0.9  # maximum dot product of opposite walls' normals, up to 26 degrees from antiparallel
+_SAME_PLACE_M = 0.005  # faces with a smaller gap, below the measuring accuracy, count as back to back
 
 
 def check_walls(mission: Mission, planned: PredictedFlight | None) -> list[CheckFinding]:
@@ -85,7 +85,7 @@ def _check_opposite_faces(mission: Mission) -> Iterator[CheckFinding]:
 
 
 def _places_before(one: Wall, other: Wall) -> list[Vec2]:
-    """Return the two ends of that part of `other` which projects onto `one`."""
+    """Return the two ends of the part of wall `other` that projects onto wall `one`."""
     left, right = (one.along(end) for end in other.ends)
     reach = 0.5 * one.length_m
     low, high = max(-reach, min(left, right)), min(reach, max(left, right))
@@ -146,7 +146,7 @@ def _check_collision(
         max_incidence_deg(mission.vehicle, collision.mode),
     )
     off_deg = planned_deg + _INCIDENCE_SD * math.degrees(wall.yaw_sd_rad or 0.0)
-    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a larger planned incidence
+    if planned_deg <= most_deg < off_deg:  # `check_collisions` reports a planned excess
         yield CheckFinding(
             f"incidence_{collision.index}",
             False,

@@ -28,7 +28,7 @@ from dart_flight.lock.drivers.px4_output import required_parameters
 from dart_flight.planning.positioning import effective_source
 
 POSE_DELAY = "EKF2_EV_DELAY"
-# The prediction of a recovery depends on these parameters.
+# Parameters of PX4's controllers, on which the prediction of a recovery depends.
 GAINS = ("MPC_XY_P", "MPC_XY_VEL_P_ACC", "MPC_XY_VEL_D_ACC", "MPC_VELD_LP", "MPC_TILTMAX_AIR", "MPC_Z_P")
 # The IMU's position relative to the centre of mass, forward, right and down, like imu.position_m.
 IMU_POSITION = ("EKF2_IMU_POS_X", "EKF2_IMU_POS_Y", "EKF2_IMU_POS_Z")
@@ -58,7 +58,7 @@ class ParameterState(StrEnum):
 
     PRESENT = "present"
     ABSENT = "absent"
-    NOT_ANSWERED = "not answered"  # unknown whether the vehicle has the parameter
+    NOT_ANSWERED = "not answered"  # it is unknown whether the vehicle has the parameter
 
 
 class ParameterRow(msgspec.Struct, frozen=True):

@@ -128,7 +128,7 @@ def show(report: CheckReport, console: Console) -> None:
 
 
 def print_finding(finding: CheckFinding, console: Console, go: str, no_go: str) -> None:
-    """Print one finding; `go` and `no_go` are the words in front of it."""
+    """Print one finding, preceded by the word `go` or the word `no_go`."""
     word, style = (go, "green") if finding.go else (no_go, "red")
     if finding.remark:
         word, style = "remark", "yellow"

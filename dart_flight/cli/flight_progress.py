@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 ONLY_NOISE = (
     "the flights differ only in sensor noise; --vary all also draws vehicle, walls and lock (docs/draws.md)"
 )
-_LEAST_SHOWN = 10.0  # lower rates are shown per hour; rates per hour below this value have a decimal
+_LEAST_SHOWN = 10.0  # show lower rates per minute as rates per hour, and lower rates per hour with a decimal
 _SHOWN_IN_MINUTES_S = 120.0
 
 

@@ -91,7 +91,7 @@ def _fly(arguments: argparse.Namespace, mission: Mission, url: str, lease: LinkL
     if verdict is None:
         return 1
     if arguments.px4_log and verdict.log is not None:
-        lease.release()  # the download acquires the lease again
+        lease.release()  # release the lease, because the download acquires it again
         verdict.px4_log = _downloaded(mission, url, Path(verdict.log), before)
     show_end(verdict, console, arguments.json)
     return exit_status(verdict)

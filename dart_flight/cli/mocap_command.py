@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         source = open_source(
             mission.vehicle.mocap.url
-        )  # opened first, because the source answers or fails sooner than the autopilot
+        )  # open the source first, because it answers or fails sooner than the autopilot
         stack.callback(source.stop)
         print_status(f"poses: {source.place}; waiting for the autopilot at {url}")
         lease = stack.enter_context(LinkLease(url, "mocap"))

@@ -17,7 +17,7 @@ from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import Replay, decision_rows, replay
 
 _MAX_SHOWN = 40
-_PARTS = re.compile(r", (?![^(]*\))")  # a comma outside a vector's parentheses separates two parts
+_PARTS = re.compile(r", (?![^(]*\))")  # a comma separates two parts, but not within a vector's parentheses
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

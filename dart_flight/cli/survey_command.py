@@ -46,7 +46,7 @@ from dart_flight.sim.motion_capture import KINDS
 from dart_flight.vehicle.link import LinkLease
 
 _SPEED_M_S = 0.5
-_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # probes per flight and maximum number of flights in an unknown room
+_DIRECTIONS, _MOST_FLIGHTS = 16, 4  # for an unknown room: probes in each flight, maximum number of flights
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

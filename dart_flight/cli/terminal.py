@@ -114,7 +114,7 @@ def open_closed_streams() -> None:
 
 def messages() -> Console:
     """Return the console for progress and messages: standard error."""
-    from rich.console import Console  # slow to import, and `--help` does not need it
+    from rich.console import Console  # rich imports slowly, and `--help` does not need rich
 
     return Console(file=_MESSAGES, highlight=False, markup=False, emoji=False)
 

@@ -121,7 +121,7 @@ class ServoOwner(msgspec.Struct, frozen=True):
 
 
 class ServoInUseError(InputError):
-    """Another process owns the servo; `pid` is its process number, or None if unknown."""
+    """Another process owns the servo; `pid` is the owner's process number, or None if unknown."""
 
     def __init__(self, device: str, owner: ServoOwner | None) -> None:
         by = "another process" if owner is None else f"{owner.program}, process {owner.pid}"

@@ -88,7 +88,7 @@ class ServoModel:
             return
         self._t_us = t_us
         if before_us is None or self._target_us is None or self._target_us == self._horn_us:
-            return  # at rest, which is the usual case
+            return  # the horn is usually at rest
         if self._faults.stuck:
             return
         elapsed_s = (t_us - before_us) * 1e-6

@@ -143,8 +143,8 @@ class LockStateMachine:
         self._permitted = False
         self._target: Mode | None = None  # commanded or found mode; kept in a fault for comparison
         self._pulses_off = False  # whether readings without pulses are expected
-        self._begun_us = t_us  # start of the current travel
-        self._sent_us: int | None = None  # start of the target's pulse at the driver's output
+        self._begun_us = t_us  # time at which the current travel began
+        self._sent_us: int | None = None  # time from which the driver outputs the target's pulse
         self._closed_since_us: int | None = None  # time at which the target's switch closed during a travel
         self._wrong_since_us: int | None = None  # time at which the pulse or a switch became wrong
         self._last_reading_us = t_us
@@ -257,7 +257,7 @@ class LockStateMachine:
     def _read_travelling(self, t_us: int, reading: DriverReading) -> None:
         target, due_us = self._target, self.due_us
         if target is None or self._sent_us is None or due_us is None or t_us < self._sent_us:
-            return  # this reading is older than the command
+            return  # the reading was made before the command
         if self._fault_has_lasted(t_us, not self._pulses_off and reading.pulse_us is None):
             self._transition(
                 t_us, LockEvent.DISPLACED, reason=self._fault_reason("the controller lost the pulse", reading)

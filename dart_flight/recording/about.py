@@ -46,8 +46,8 @@ def describe_flight(mission: Mission, world: World, seed: int | None) -> dict[st
     }
     try:
         about["mission_text"] = Path(mission.source).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):  # the mission was built in Python, or its file no longer exists
-        with contextlib.suppress(InputError):  # a mission that code has changed has no keys of a file
+    except (OSError, UnicodeDecodeError):  # the mission was built in Python, or its file is gone
+        with contextlib.suppress(InputError):  # no file describes a mission that code has changed
             tree = msgspec.json.encode(mission.to_dict())
             about["mission_text"] = msgspec.json.format(tree, indent=2).decode()
     return about

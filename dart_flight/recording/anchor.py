@@ -12,9 +12,9 @@ from dart_flight.config.mission import ESTIMATE_MOVED_M, Mission
 class MissionFrameReader:
     """A tracker of the mission frame during a flight; `add` receives the flight's records in order.
 
-    `frame` is in local NED. Until the mission leaves `READYING`, it is None. The frame is then anchored at
-    the take-off point. If the position estimate then changes before the climb, the frame is anchored again at
-    the start of the climb. In a mission anchored by touch, contacts displace the frame.
+    `frame` is in local NED. The frame is None until the mission leaves the phase `READYING`. The frame is
+    then anchored at the take-off point. If the position estimate then changes before the climb, the frame is
+    anchored again at the start of the climb. In a mission anchored by touch, contacts displace the frame.
     """
 
     def __init__(self, mission: Mission) -> None:

@@ -76,7 +76,7 @@ class EventFormatter:
         self._ready = False
 
     def format_event(self, record: Record) -> Event | None:
-        if record.frequent:  # return early in the usual case
+        if record.frequent:  # most records are frequent, so return early
             return None
         if isinstance(record, PhaseChange):
             self._ready = True

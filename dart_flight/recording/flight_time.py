@@ -26,7 +26,7 @@ class FlightTime:
 
 
 def find_zero(records: Iterable[Record]) -> int:
-    """Return the zero of a recorded flight's time, autopilot time; without an IMU sample, the first stamp."""
+    """Return the autopilot time of a recorded flight's zero, or the first stamp if there is no IMU sample."""
     time = FlightTime()
     first_us = 0
     for record in records:

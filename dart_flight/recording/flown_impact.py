@@ -84,7 +84,7 @@ class CollisionVerdict(msgspec.Struct):
     setpoint_latency_ms: float | None = None
     contact_time_ms: float | None = None
     mode_felt: Mode | None = None  # estimated (docs/contact_fit.md); None if undecided
-    mode_log_odds: float | None = None  # log odds of rigid against flexible; None if not reported
+    mode_log_odds: float | None = None  # log odds of the rigid over the flexible mode; None if not reported
     mode_true: Mode | None = None  # mode of the simulated arms
 
     @property
@@ -178,7 +178,7 @@ class ImpactCollector:
         }
 
     def match_truth(self) -> None:
-        """Assign to every impact the simulated contact with the same wall that is nearest in time, if any."""
+        """Assign to every impact the nearest simulated contact in time, if one with the same wall exists."""
         for impact in self.impacts:
             near = [
                 t
@@ -215,7 +215,7 @@ class ImpactCollector:
         return sorted(found, key=lambda one: one.t_us)
 
     def _newest(self) -> FlownImpact | None:
-        """Return the impact that began with the last onset; None if this onset was not planned."""
+        """Return the impact of the last detected contact; None if this contact was not planned."""
         return self.impacts[-1] if self.impacts and self.impacts[-1].onset is self._onset else None
 
     def _handle_onset(self, record: ImpactOnset) -> None:

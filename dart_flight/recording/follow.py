@@ -13,8 +13,8 @@ from dart_flight.config.document import InputError
 from dart_flight.recording.reader import MAGIC, MAX_BYTES, DamagedLogError, LogEntry, read_entries
 from dart_flight.recording.writer import part_path
 
-_HEAD = struct.Struct("<BQ")  # MCAP: kind and length of a record
-_READ_BYTES = 8 * 1024 * 1024  # limit of one read
+_HEAD = struct.Struct("<BQ")  # the head of an MCAP record: its kind and its length
+_READ_BYTES = 8 * 1024 * 1024  # maximum number of bytes in one read
 
 
 class LogFollower:

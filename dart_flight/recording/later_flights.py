@@ -1,4 +1,4 @@
-"""Peak forces of recorded hits against the contact law: whether a material's coefficients still hold."""
+"""Compare recorded peak forces with the contact law: do a material's coefficients still hold?"""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import verdict_of
 
 FLIGHTS: Final = Path("flights")  # default folder of logs
-# A smaller disagreement of peak forces does not identify k: 20 % of k changes the peak by twice as much. One
+# A smaller excess does not show a wrong k: a 20 % change of k changes the peak by twice this limit. One
 # flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
 AGREES: Final = 0.05
 _ALONE: Final = 0.1
-_NEWEST: Final = 5  # logs that are read
+_NEWEST: Final = 5  # number of logs to read, the newest first
 
 
 def mean_excess(values: Sequence[float]) -> tuple[float, float]:
-    """Return the mean of measured peak / predicted peak - 1, and half the width of its 95 % interval."""
+    """Return the mean of (measured peak / predicted peak - 1), and half the width of its 95 % interval."""
     half = mean_half_width(values)
     return fmean(values), _ALONE if half is None else half
 
@@ -43,7 +43,7 @@ def contradicts(mean: float, half: float) -> bool:
 def later_excesses(
     flights: Path, since: datetime.date, vehicle: VehicleConfig, material: str
 ) -> dict[Mode, list[float]]:
-    """Return measured peak / predicted peak - 1 of the hits on a material, by mode.
+    """Return (measured peak / predicted peak - 1) for each hit on a material, by mode.
 
     The hits are those of the vehicle's newest flights below `flights` that did not begin before the day
     `since`. Simulated flights and unreadable logs do not count.

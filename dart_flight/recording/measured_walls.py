@@ -103,7 +103,7 @@ class WallMeasurements:
         )
         true = self._true_wall(name, estimate, drawn)
         if true is not None:
-            # Compare at the contact: elsewhere the error of the direction adds to the error of the position.
+            # Compare at the contact, because elsewhere the error of the direction adds to the result.
             point = estimate.plane_point_mission
             at = wall.foot(point) if point is not None else wall.point
             found.truth_error_m = true.signed_distance(at)

@@ -43,7 +43,7 @@ class Deviation(msgspec.Struct, frozen=True):
 
 
 class Prediction(NamedTuple):
-    """Predicted course of a mission.
+    """The velocities, impact points and miss distance that are predicted for a mission.
 
     Attributes:
         velocities: predicted velocities by index of the collision; fields are None if not predicted.
@@ -135,7 +135,7 @@ def _compare_collision(
     mode = collision.mode.value
     if flown is None:
         yield Deviation(f"{name} mode", mode, None, None)
-    elif flown.mode_felt is not None:  # an undecided mode is not a deviation
+    elif flown.mode_felt is not None:  # if the contact did not show the mode, there is no deviation
         yield Deviation(f"{name} mode", mode, flown.mode_felt.value, None)
 
 

@@ -25,8 +25,8 @@ from dart_flight.recording.writer import ABOUT, END, FORMAT_VERSION, part_path
 if TYPE_CHECKING:
     from dart_flight.recording.topics import Topic, Topics
 
-IN_MEMORY: Final = "<memory>"  # source of a log without a file
-# The writer's chunks have one megabyte; without the limit, a damaged length could allocate gigabytes.
+IN_MEMORY: Final = "<memory>"  # the source of a log that has no file
+# The writer's chunks have at most one megabyte. Without a limit, a damaged length could allocate gigabytes.
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
 # Exceptions that the libraries raise for damaged bytes.
@@ -58,7 +58,7 @@ class Log(msgspec.Struct, dict=True):
     Attributes:
         source: the file, or `IN_MEMORY`.
         about: description of the flight (`recording.about`).
-        end: data known only at the end, such as `lost`: the number of records that could not be written.
+        end: data that is known only at the flight's end, such as `lost`, the number of unwritten records.
         entries: records in the order written.
         complete: whether all parts of the log exist and the last part has its closing description.
     """

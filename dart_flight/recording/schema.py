@@ -23,7 +23,7 @@ OUTPUTS: tuple[type[Record], ...] = get_args(Output)
 NOTES: tuple[type[Record], ...] = get_args(Note)
 RECORD_TYPES: tuple[type[Record], ...] = (*INPUTS, *OUTPUTS, *NOTES)
 
-# Frames by the ending of a name; the longest match counts.
+# The ending of a field's name determines the frame; the longest matching ending counts.
 FRAMES = {
     "_frd_to_ned": "rotation body FRD to world NED, (w, x, y, z)",
     "_body_to_room": "rotation marker body to room, (w, x, y, z)",

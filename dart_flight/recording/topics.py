@@ -100,7 +100,7 @@ class Topics:
 
 
 class _Kind(NamedTuple):
-    """Content of a field: type of the value or of its elements, length, whether the value may be missing."""
+    """The type of a field: type of its value or elements, length, and whether a value may be missing."""
 
     type: Any
     length: int | None

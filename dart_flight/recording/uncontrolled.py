@@ -19,7 +19,7 @@ from dart_flight.config.mission_file import BoundsSpec
 OUT_M = 0.5  # allowed distance outside the bounds, for braking
 _LANDING_M_S = 1.5
 _TILT_DEG = 80.0
-_HIGH_M, _GROUND_M = 0.2, 0.03  # minimum altitude in flight, maximum altitude on the ground
+_HIGH_M, _GROUND_M = 0.2, 0.03  # above the first altitude the vehicle flies, below the second it is down
 
 
 class TruthExtremes:

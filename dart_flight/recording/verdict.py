@@ -195,7 +195,7 @@ class VerdictBuilder:
         self._extremes = TruthExtremes(mission.bounds)
         self._tilt_rad: float | None = None
         self._ticked_us: int | None = None
-        self._late_us: int | None = None  # largest delay between ticks
+        self._late_us: int | None = None  # largest delay of a tick after its due time
         self._settled: set[Mode] = set()
         self._true_modes: set[Mode] = set()
         anchor, walls = self._anchor.add, self._walls.add
@@ -354,7 +354,7 @@ class VerdictBuilder:
 
 
 def _merge_handlers(*parts: Mapping[type, Callable[[Any], None]]) -> dict[type, Callable[[Any], None]]:
-    """Return one function per kind of record, which calls the handlers of all parts in order."""
+    """Return one function for each kind of record; the function calls the handlers of all parts in order."""
     by_kind: dict[type, list[Callable[[Any], None]]] = {}
     for part in parts:
         for kind, handler in part.items():
@@ -375,8 +375,8 @@ def _chain(handlers: Sequence[Callable[[Any], None]]) -> Callable[[Any], None]:
 def evaluate(log: Log) -> tuple[Verdict, list[FlownImpact]]:
     """Return the verdict on a recorded flight, and its impacts.
 
-    The verdict equals that at the end of the flight, except for two values that the log does not contain:
-    `px4` and the reason for missing records. A log without its mission raises InputError.
+    The verdict equals the verdict at the end of the flight. Two values differ, because the log does not
+    contain them: `px4` and the reason for missing records. A log without its mission raises InputError.
     """
     builder = VerdictBuilder(flown_mission(log.about, log.source))
     for entry in log.entries:

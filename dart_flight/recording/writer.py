@@ -31,12 +31,12 @@ from dart_flight.recording.schema import RECORD_TYPES, schema
 
 FORMAT_VERSION = 1
 PROFILE = "dart-flight"
-ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records
+ABOUT, END = "dart_flight", "dart_flight_end"  # names of the metadata records at the log's start and end
 PART_BYTES = 64 * 1024 * 1024  # about ten minutes of a flight (docs/log.md)
 MAX_PARTS = 16
 BYTES_PER_S = 150_000  # per second of flight, rounded up from a measured 8.7 MB per minute (docs/log.md)
 
-_FLUSH_S = 0.15  # period of flushes; each flush costs a chunk, and a killed process loses one period
+_FLUSH_S = 0.15  # period of flushes; each flush ends a chunk, and a killed process loses one period's records
 _SYNC_S = 1.0
 _MAX_WAITING = 200_000  # maximum number of queued records; two minutes of flight without the disk
 
@@ -65,7 +65,7 @@ class LogPart:
 
     def write(self, record: Record, time_us: int, number: int) -> None:
         """Add a record at an autopilot time, with the number as in `FlightLog.put`."""
-        time_ns = time_us * 1000 if time_us > 0 else 0  # a faulty clock may be negative, MCAP's times may not
+        time_ns = time_us * 1000 if time_us > 0 else 0  # a faulty clock may be negative, an MCAP time may not
         channel = self._channels[type(record)]
         self._writer.add_message(channel, time_ns, encode(record), time_ns, number & 0xFFFFFFFF)
 
@@ -146,9 +146,9 @@ class FlightLog:
         If the disk does not respond, the file stays incomplete and can be read up to its last whole chunk.
         """
         self._closing.set()
-        for _ in range(2):  # in a process that was stopped, the first wait may end immediately
+        for _ in range(2):  # if the process was suspended, the first wait may end immediately
             self._thread.join(self.patience_s)
-        if self._thread.is_alive():  # the index must not be written into the middle of a record
+        if self._thread.is_alive():  # the thread may be writing a record, so do not write the index
             self.failure = "the disk does not respond"
             return
         if self.failure is None:

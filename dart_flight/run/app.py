@@ -1,4 +1,4 @@
-"""A flight over MAVSDK: the threads around the core's shell (`shell`), and the connection to the vehicle.
+"""The program of a flight over MAVSDK: it connects to the vehicle and runs the threads around the core.
 
 The threads are:
     MAVSDK's thread builds records and queues them. Near a wall it also steps the core (`core_thread`).
@@ -65,7 +65,7 @@ _SHOW_PERIOD_S = 0.2  # update period of the live line
 _SWITCH_INTERVAL_S = 0.001  # longest time that one thread may run before MAVSDK's callbacks can run
 _KEY_PAUSE_S = 0.5
 _LOOK_PERIOD_S = 0.5  # period of the checks for other vehicles and for the end of the simulation
-_END_GRACE_S = 0.3  # wait after the flight for the last truth and the log
+_END_GRACE_S = 0.3  # after the flight, wait this long for the last records
 
 Progress = Callable[[Record], None]
 
@@ -89,7 +89,7 @@ class Simulator(Protocol):
 
 
 class WorldLink(NamedTuple):
-    """The link to a simulated world, and the clock that the app shares with it.
+    """The link to a simulated world, and the clock that app and world share.
 
     Attributes:
         clock: autopilot's clock, or None if the autopilot's time advances with real time.
@@ -167,7 +167,7 @@ class FlightApp:
         self.loop: asyncio.AbstractEventLoop | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._stops = 0
-        self._phase, self._lock_text = Phase.READYING, ""  # for the buttons of the ground station
+        self._phase, self._lock_text = Phase.READYING, ""  # determine the answers to the operator's buttons
         self._stopped = asyncio.Event()
         self.shell = Shell(FlightCore(mission), self, self._observe_record, self._time)
         self._core = CoreThread(self.shell, lambda: self._feed(CORE), self._after_step)
@@ -188,7 +188,7 @@ class FlightApp:
             try:
                 await self._fly(source, driver, held)
             finally:
-                if source is not None and self._bridge is None:  # a bridge stops its source itself
+                if source is not None and self._bridge is None:  # the pose bridge stops its own source
                     source.stop()
 
     async def _fly(
@@ -376,7 +376,7 @@ class FlightApp:
             session.send_message(message)
 
         def deliver(pose: PoseSample) -> None:
-            if session.clock.offset_us is not None:  # only then can the pose get an autopilot time
+            if session.clock.offset_us is not None:  # without the offset, a pose gets no autopilot time
                 self._core.arrive(pose)
 
         bridge = MotionCaptureBridge(self._mission.vehicle.mocap, source, send, session.clock, deliver)

@@ -19,7 +19,7 @@ _PERIOD_S = 1.0
 _FLAGS = "sys/devices/platform/soc/soc:firmware/get_throttled"  # the word of `vcgencmd get_throttled`
 _ZONES = "sys/class/thermal"
 _UNDERVOLTAGE, _FREQUENCY_CAPPED, _THROTTLED, _SOFT_LIMIT = 1, 2, 4, 8
-_SINCE_START = 16  # bit offset of the flags that apply since power-on
+_SINCE_START = 16  # bit offset of the flags that were set at any time since power-on
 
 
 def read_computer(root: Path = Path("/")) -> ComputerSample:

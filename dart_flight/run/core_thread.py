@@ -1,13 +1,13 @@
-"""The threads that step the core in flights over MAVSDK: one queue of inputs, one thread at a time.
+"""The threads that step the core in flights over MAVSDK. They share one queue of inputs.
 
-Only the thread that holds `_owner` steps the core. This thread also sends the setpoints, without delay. In
-real time the core chooses the thread (`core.pace`). Near a wall MAVSDK's thread, on which samples arrive,
-steps the core. No other thread has to wake up first (docs/latency.md). Away from walls the core's own thread
-steps the core.
+Only the thread that holds the mutex `_owner` steps the core. This thread also sends the setpoints, without
+delay. In real time the core chooses the thread (`core.pace`). Near a wall MAVSDK's thread, on which samples
+arrive, steps the core. No other thread has to wake up first (docs/latency.md). Away from walls the core's own
+thread steps the core.
 
 In lockstep, the simulated world waits until the core has processed the world's samples. The thread that
-delivers a sample also steps the core: after each sample near a wall, and after every 20 ms of simulated time
-away from walls.
+delivers a sample also steps the core. Near a wall it does so after each sample, and away from walls after
+every 20 ms of simulated time.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ class CoreThread:
                 self._called.clear()
             if self._fault is not None:
                 raise self._fault
-            # In lockstep this thread must not own the core: an input that arrives during that time would stay
-            # queued.
+            # In lockstep this thread must not own the core: an input that another thread delivers then would
+            # stay queued.
             if not self._time.waits:
                 with self._owner:
                     self._step_queued()

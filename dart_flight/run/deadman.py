@@ -24,11 +24,11 @@ from pathlib import Path
 
 CORE, LOOP = b"c", b"l"
 _ARM, _LET_GO = b"a", b"q"
-_OWN_PAUSES = 2.0  # if the watcher itself paused for this many of its periods, it restarts its timeouts
-FEED_PERIOD_S = 0.1  # longest period of feeding; a shorter period costs more wake-ups
-_FEEDS = 5  # feeds due within `starve_s`; one of them must arrive
+_OWN_PAUSES = 2.0  # after a pause of this many of its periods, the watcher restarts its timeouts
+FEED_PERIOD_S = 0.1  # longest period between two feeds; a shorter period causes more wake-ups
+_FEEDS = 5  # number of feeds due within `starve_s`; at least one must arrive
 _MIN_S = 0.001
-_WORD = struct.Struct("=cd")  # message and its time; a write this short is atomic
+_WORD = struct.Struct("=cd")  # a message and its time, short enough for an atomic write
 _MAX_WORDS = 400  # maximum number of messages in one read
 _MIN_PAUSE_S = 0.1
 

@@ -52,7 +52,7 @@ from dart_flight.vehicle.clock import SimulatedTime
 if TYPE_CHECKING:
     from dart_flight.run.fast_poses import FastPoses
 
-# Offset of the host's clock, plus 1 ms for the median delay of a MAVSDK callback over UDP.
+# The host's clock minus the autopilot's clock, plus 1 ms for the median delay of a MAVSDK callback over UDP.
 _HOST_OFFSET_US: Final = 7_001_000
 _TRUTH_EVERY: Final = 2
 _HOST_EVERY: Final = 5  # ticks of 4 ms between polls of the lock and reports of the host time (50 Hz)
@@ -67,7 +67,7 @@ FLIGHT_MODES: Final = {
 
 
 class _FastClock(SimulatedTime):
-    """The two clocks of a fast flight."""
+    """The autopilot's clock and the host's clock of a fast flight."""
 
     def __init__(self, flight: FastFlight) -> None:
         super().__init__()
@@ -271,7 +271,7 @@ class FastFlight:
     # -- inputs and commands of the core (`shell.Transport`) --
 
     def step(self, item: Input) -> None:
-        """Step the core with any input: a sample, an operator's request, or an input from a fault."""
+        """Step the core with an input, which a sensor, the operator or a fault has caused."""
         self.shell.step(item)
 
     def _observe_record(self, record: Record, number: int) -> None:
@@ -294,7 +294,7 @@ class FastFlight:
         self._continue_us = self.host_us + (self._operator_us or 0) if waits else None
 
     def fall_silent(self) -> None:
-        """Stop repeating the last setpoint; also called when the process of app and MAVSDK has ended."""
+        """Stop repeating the last setpoint; also called when a fault has ended the simulated app."""
         self._last_setpoint = None
 
     def finish(self) -> None:

@@ -63,7 +63,7 @@ class FastPoses:
         self._feed.tick(self._autopilot.now_s, self._autopilot.pose)
 
     def withhold(self, *, attitude_only: bool) -> None:
-        """Stop forwarding poses. With `attitude_only`, still forward the positions."""
+        """Stop forwarding poses, or only their attitudes if `attitude_only`."""
         self._bridge.withhold(attitude_only=attitude_only)
 
     def begin_fault(self, fault: Fault) -> None:

@@ -1,4 +1,4 @@
-"""Record of one flight in any world: its log, its verdict, and its onlookers."""
+"""The recorder of one flight in any world: it writes the log and forms the verdict."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from dart_flight.recording.verdict import TimeKind, Verdict, VerdictBuilder
 from dart_flight.recording.writer import FlightLog, new_flight_folder
 
 Onlooker = Callable[[Record], None]
-LogPlace = Path | Literal["<memory>"] | None  # parent folder of the flight's folder, memory, or no log
+LogPlace = Path | Literal["<memory>"] | None  # a folder for the flight's folder, memory, or None for no log
 
 
 class MemoryLog:
@@ -44,7 +44,7 @@ class FlightRecord:
 
     Args:
         log_dir: parent folder of the flight's folder, `IN_MEMORY`, or None for no log (campaigns).
-        drawn: random quantities of the simulated world: name -> value.
+        drawn: random quantities of the simulated world, a map from name to value.
 
     Attributes:
         onlookers: callbacks for every record, on the thread that produced it.

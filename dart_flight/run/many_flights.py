@@ -1,4 +1,4 @@
-"""Many flights of one mission for `dry-run --runs`, in parallel or one by one, and their summary."""
+"""Fly one mission many times for `dry-run --runs`, in parallel or one by one, and summarise the flights."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RunsSummary(msgspec.Struct):
     final_error_m: Spread | None
     max_tilt_deg: Spread | None
     peak_force_error_percent: Spread | None
-    plan_followed: int | None = None  # number of flights, or None if no flight had a plan
+    plan_followed: int | None = None  # flights that followed their plan, or None if no flight had a plan
     unexplained_modes: dict[str, list[str]] = {}
 
 

@@ -47,7 +47,7 @@ from dart_flight.vehicle.vehicle_session import VehicleSession, connect
 
 _RATE_WINDOW_S = 1.0
 _HEARTBEAT_S = 2.0  # longest wait for a heartbeat; the autopilot sends one per second
-_WORK_S = 0.05  # period of processing; logs are written at this period, and a screen may be slower
+_WORK_S = 0.05  # period at which queued records are processed; a screen may be updated less often
 _INPUTS = get_args(Input)
 
 
@@ -85,7 +85,7 @@ class MonitorView(msgspec.Struct):
     sigma_n: float | None
     clipped: bool
     detection: str
-    peaks: list[tuple[float, float, float]]  # age in s, normal and tangential force in newton
+    peaks: list[tuple[float, float, float]]  # of each peak: age in s, normal and tangential force in newton
     thrust_source: str | None
     noise_m_s2: float
     thrust_scale: float

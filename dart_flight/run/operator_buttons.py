@@ -20,7 +20,7 @@ class Button(IntEnum):
     LOCK_RIGID = 1
     LOCK_FLEXIBLE = 2
     CONTINUE = 3
-    LAND = 4  # leave the wall and land
+    LAND = 4  # the vehicle leaves the wall and lands
     CHECK = 5  # param2 is the number of the mission; 0 means all missions
     FLY = 6  # param2 is the number of the mission
 

@@ -33,7 +33,7 @@ from dart_flight.planning.replanner import Replanner
 from dart_flight.vehicle.clock import host_us
 
 PlanItem = PlanRequest | ContactRequest | WallEstimate | FrameAnchor
-_NICE = 5  # lower priority than the flight: setpoints come first
+_NICE = 5  # planning has a lower priority than the flight, whose setpoints come first
 _END_S = 1.0
 # Every line begins with one of these letters. The first line gives the kind of the requests, and the mission.
 _KINDS: dict[type[PlanItem], bytes] = {
@@ -79,7 +79,7 @@ class PlannerProcess:
     def _answer_open(self) -> None:
         """Answer the requests that were open when the planner died."""
         while self._open:
-            with contextlib.suppress(KeyError):  # another thread has answered the request
+            with contextlib.suppress(KeyError):  # another thread has just answered the last request
                 number, request = self._open.popitem()
                 now_us, problem = self._host_us(), "the planner process ended"
                 if isinstance(request, PlanRequest):

@@ -21,8 +21,8 @@ from dart_flight.planning.positioning import simulated_source
 from dart_flight.sim.motion_capture import BODY, KINDS
 from dart_flight.vehicle.motion_capture.source import parse_url
 
-# Measured on v1.18 SITL (docs/results/faster_hits.md): the delay from the stamp of an odometry sample to the
-# resulting attitude setpoint, and the rate loop's part of the attitude's lag.
+# Measured on v1.18 SITL (docs/results/faster_hits.md): the delay from an odometry sample's stamp to the
+# attitude setpoint computed from the sample, and the delay that the rate loop adds to the attitude.
 _PX4_DELAYS_S = {"setpoint_delay_s": 0.024, "attitude_delay_s": 0.05}
 
 
@@ -60,7 +60,7 @@ def with_driver(mission: Mission, driver: LockDriver | None) -> Mission:
     return msgspec.structs.replace(mission, vehicle=vehicle)
 
 
-NO_MOCAP = "none"  # value of `--mocap`: ignore `mocap.url` for one command
+NO_MOCAP = "none"  # with this value of `--mocap`, a command ignores `mocap.url`
 
 
 def with_mocap(mission: Mission, url: str | None) -> Mission:

@@ -1,4 +1,4 @@
-"""World of a real PX4 SITL on our plant, through MAVSDK over UDP, in lockstep or in real time."""
+"""The world in which a real PX4 SITL flies the plant, through MAVSDK, in lockstep or in real time."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def fly_px4(
     fault: Fault | None = None,
     viewer: Onlooker | None = None,
 ) -> Verdict:
-    """Fly through MAVSDK over UDP with a real PX4 SITL on our plant, and return the verdict.
+    """Fly the simulated plant with a real PX4 SITL, through MAVSDK over UDP, and return the verdict.
 
     Args:
         directory: where PX4 is, or None to search for PX4 (`find_install`).
@@ -68,7 +68,7 @@ def fly_px4(
         raise InputError(problem, source=mission.source, key=("frame", "origin"))
     mission = with_px4_delays(_for_pauses(mission, speed) if realtime else mission)
     parameters = flight_parameters(mission.vehicle, position_from, list(parameter_files))
-    motors_from(values_of(parameters), mission.vehicle)  # raises InputError here, before PX4 starts
+    motors_from(values_of(parameters), mission.vehicle)  # wrong motors raise InputError before PX4 starts
     drawn = draw_world(mission, seed, spreads or {})
     record = FlightRecord(mission, World.PX4, seed, log_dir, drawn.drawn)
     if viewer is not None:

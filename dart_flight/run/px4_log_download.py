@@ -16,7 +16,7 @@ from dart_flight.recording.found import PX4_LOG
 from dart_flight.vehicle.downloads import DownloadError, DownloadTime, Px4LogEntry, logs_of_flight
 from dart_flight.vehicle.ground_link import GroundLink
 
-_WRITTEN_S = 2.0  # time for PX4 to finish writing after disarming
+_WRITTEN_S = 2.0  # after disarming, PX4 needs up to this time to finish writing the log
 
 
 def list_px4_logs(url: str, timeout_s: float) -> list[Px4LogEntry]:
@@ -42,7 +42,7 @@ def fetch_px4_log(
         url: MAVLink URL of the vehicle, which must be disarmed.
         armed: arming time and end time of the flight, or None if not known.
         before: logs that existed before the flight, or None if not known.
-        choose: selects a log if several logs may belong to the flight.
+        choose: callback that selects a log if several logs may belong to the flight.
         progress: callback for the received fraction, 0 to 1.
         opened: called when the link is open (`LinkLease.lock_device`).
     """

@@ -65,7 +65,7 @@ DECISIONS = (
     MissionEnd,
 )
 TOLERANCE = 1e-9
-_IN_FLIGHT = 3  # a cut log may lack the outputs of this many last inputs
+_IN_FLIGHT = 3  # number of last inputs whose outputs a cut log may lack
 
 
 class Difference(msgspec.Struct, frozen=True):

@@ -76,7 +76,7 @@ class Poses(Protocol):
 
 
 class PlannerLink(Protocol):
-    """A planner that runs outside the core; its answers go to `Shell.take_answer`."""
+    """A planner that runs outside the core and returns its answers to the core as inputs."""
 
     def send(self, item: PlanRequest | ContactRequest | WallEstimate | FrameAnchor) -> None: ...
 
@@ -181,7 +181,7 @@ class Shell:
         ]
 
     def _send(self, setpoint: Setpoint) -> SetpointSent | None:
-        """Send a recovery setpoint immediately and return its latency; hold any other for `_send_held`."""
+        """Send a recovery setpoint now and return its latency; hold any other setpoint for `_send_held`."""
         if not setpoint.recovery:
             self._held = setpoint
             return None

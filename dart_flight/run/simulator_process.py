@@ -28,7 +28,7 @@ from dart_flight.sim.pipe import (
     WorldOutput,
 )
 
-_LAST_WORDS_S = 0.2  # wait for the world's message about its end; shorter than the deadman's timeout
+_LAST_WORDS_S = 0.2  # wait this long for the world's last message, but less than the deadman's timeout
 
 
 class SimulatorError(FlightError):
@@ -65,7 +65,7 @@ class SimulatorProcess:
     def cause(self) -> str:
         """The reason why the world has ended; valid only if `died` is True."""
         if self._cause is None:
-            self.process.listener.join(_LAST_WORDS_S)  # the pipe may still contain the cause
+            self.process.listener.join(_LAST_WORDS_S)  # wait, because the pipe may still contain the cause
         if self._cause is not None:
             return self._cause
         code = self.process.poll()
@@ -105,7 +105,7 @@ class SimulatorProcess:
         self.process.send(msgspec.json.encode(FaultLine(fault)))
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """End the process. A vehicle in the air first flies on until its failsafe has acted."""
+        """End the process. If the vehicle is in the air, it first continues until its failsafe has acted."""
         self.process.end(timeout_s)
 
     def _receive(self, line: bytes) -> None:
@@ -126,7 +126,7 @@ class SimulatorProcess:
 
 
 class Px4SimulatorProcess(SimulatorProcess):
-    """Plant with a real PX4. PX4 ends together with the process of the plant."""
+    """The process of a plant that a real PX4 flies. PX4 ends together with this process."""
 
     ready_timeout_s = 60.0
     what = "the plant under PX4"
@@ -134,14 +134,14 @@ class Px4SimulatorProcess(SimulatorProcess):
     def close(self, timeout_s: float = 30.0) -> None:
         """End the process. If the process had to be killed, also kill PX4's session."""
         super().close(timeout_s)
-        killed = self.process.returncode < 0  # a process that was not killed has ended PX4
+        killed = self.process.returncode < 0  # a process that ended by itself has also ended PX4
         if killed and self.ready is not None and self.ready.pid is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.ready.pid, signal.SIGKILL)
 
 
 class HitlProcess(SimulatorProcess):
-    """Plant that sends simulated sensors to a flight controller."""
+    """The process of a plant that sends simulated sensor data to a flight controller."""
 
     ready_timeout_s = 60.0
     what = "the simulated vehicle connected to the flight controller"

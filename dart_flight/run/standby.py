@@ -47,7 +47,7 @@ from dart_flight.vehicle.motion_capture.source import AbsentSourceError, open_so
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession, connect
 
 _RETRY_S: Final = 5.0
-_CONNECT_S: Final = 5.0  # timeout of the autopilot's heartbeat in each attempt to connect
+_CONNECT_S: Final = 5.0  # in each attempt to connect, wait this long for the autopilot's heartbeat
 _ALIVE_S: Final = 0.5
 _SYSTEMD: Final = (
     "NOTIFY_SOCKET",
@@ -55,7 +55,7 @@ _SYSTEMD: Final = (
     "WATCHDOG_PID",
 )  # systemd's variables, which child processes must not inherit
 _TEXT_PAUSE_S: Final = 0.3  # pause between messages: PX4 buffers only about 580 bytes and drops the rest
-_LAST_WORDS_S: Final = 0.3  # wait for the last answers and messages before the connection closes
+_LAST_WORDS_S: Final = 0.3  # wait this long for the last answers before the connection closes
 _RADIO_S: Final = 3.0  # after this time without PX4's report, a remote control counts as lost
 _RC_RECEIVER: Final = 65536  # MAV_SYS_STATUS_SENSOR
 _NO_GOES: Final = 3  # the ground station receives this many no-gos of a check, and the journal all of them
@@ -104,7 +104,7 @@ class StandbyDesk:
     def update_switch(self, pulses_us: Sequence[int], now_s: float) -> Mode | None:
         """Return the mode to which the transmitter's switch moves the lock."""
         if now_s - self._radio_s > _RADIO_S or self._channel is None or self._channel > len(pulses_us):
-            return None  # a receiver without its transmitter may send preset positions
+            return None  # a receiver that has lost its transmitter may send preset positions
         return self._switch.update(pulses_us[self._channel - 1], now_s)
 
 
@@ -201,7 +201,7 @@ class Standby:
         """End standby, and pass each signal to a flight in progress.
 
         After the first signal the vehicle lands. After the second signal the flight sends no more setpoints.
-        The two signals differ, so that the flight does not take the second for a repetition of the first.
+        The two signals differ, so that the flight can distinguish the second from a repeated first signal.
         """
         self._stops += 1
         self._wake.set()

@@ -1,4 +1,4 @@
-"""Real time, lockstep with a simulated world, and simulated time in process: the times of the core's shell.
+"""The kinds of time for the core's shell: real time, lockstep with a world, or simulated time in process.
 
 In lockstep (`sim.lockstep`) the world waits for the application. The application counts its unfinished tasks:
 queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, the application sends
@@ -37,7 +37,7 @@ from dart_flight.vehicle.clock import Clock, SimulatedTime, host_us
 Answer = PlanAnswer | ContactAnswer
 _ANSWERS: Final[dict[type, type]] = {PlanRequest: PlanAnswer, ContactRequest: ContactAnswer}
 _BATCH_US: Final = round(1e6 * BATCH_S)
-_MARGIN_US: Final = 40_000  # shortest time from an answer to the start of its trajectory
+_MARGIN_US: Final = 40_000  # shortest time from a planner's answer to the start of the answered trajectory
 _UNUSED: Final = (None, None, None)
 
 

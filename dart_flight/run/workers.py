@@ -111,7 +111,7 @@ class _Pool(Generic[I, R]):
         if "forkserver" in methods:
             context.set_forkserver_preload(_PRELOADED)
             # A signal to the whole process group must not end the fork server, which therefore starts with
-            # these signals blocked. Start the resource tracker first, because its start unblocks them.
+            # these signals blocked. Start the resource tracker first, because its start unblocks signals.
             resource_tracker.ensure_running()
             before = signal.pthread_sigmask(signal.SIG_BLOCK, _GROUP_SIGNALS)
             try:
@@ -146,7 +146,7 @@ class _Pool(Generic[I, R]):
             try:
                 self._executor.submit(int).result()
             except (BrokenProcessPool, OSError):
-                time.sleep(_POLL_S)  # the fork server may have died as well; give it time to restart
+                time.sleep(_POLL_S)  # the fork server may have died as well, so allow time for its restart
             else:
                 return
         raise FlightError("worker process exited before its first flight")

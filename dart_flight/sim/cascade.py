@@ -27,7 +27,7 @@ from dart_flight.sim.allocation import Allocation
 
 _FREE = (math.nan, math.nan, math.nan)
 _MAX_RATE = (math.radians(220.0), math.radians(220.0), math.radians(200.0))  # MC_*RATE_MAX defaults
-_NOT_SUMMED = math.radians(400.0)  # rate error at which the integral's weight reaches 0
+_NOT_SUMMED = math.radians(400.0)  # rate error above which the rate error is not integrated
 _MAX_YAW: Final = 0.15  # limit of the normalised yaw torque
 _YAW_WEIGHT: Final = 0.4  # MC_YAW_WEIGHT default
 _HORIZONTAL_MARGIN: Final = 0.3  # MPC_THR_XY_MARG default: thrust kept for horizontal control when saturated

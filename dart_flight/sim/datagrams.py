@@ -27,7 +27,7 @@ def receive_datagram(link: socket.socket) -> tuple[bytes, Address] | None:
             return link.recvfrom(4096)
         except BlockingIOError:
             return None
-        except ConnectionRefusedError:  # nobody listened to an earlier datagram
+        except ConnectionRefusedError:  # the kernel reports that an earlier datagram found no listener
             continue
         except OSError as error:
             raise FlightError(f"cannot receive: {error.strerror or error}") from None

@@ -24,7 +24,7 @@ from dart_flight.lock.servo import ServoFaults
 
 Drawn = dict[str, float | str]
 
-_RINGING_M_S2 = (2.0, 3.0)  # range of one sample's deviation in recorded hover (docs/results/real_data.md)
+_RINGING_M_S2 = (2.0, 3.0)  # range of standard deviations of IMU samples in hover (docs/results/real_data.md)
 _RINGING_WHITE_M_S2 = 0.8  # the white noise in this deviation, from 32 ms means of the same recordings
 _MIN_FACTOR = 0.1  # lower limit of a factor on a nominal value
 # Default spreads: standard deviations, relative if there is no unit.
@@ -32,9 +32,9 @@ SPREADS: Final[Mapping[str, float]] = {
     "contact": 0.2,  # friction on wood varied in 2 of 5 flights of the paper
     "contact_scatter": 0.05,  # scatter between impacts on the same wall
     "lock_true_mode": 0.01,  # probability that the lock is stuck or half engaged, regardless of its report
-    "wall_offset_m": 0.03,  # error of a tape measure, and displacement of a panel
+    "wall_offset_m": 0.03,  # metres: error of a tape measure, plus displacement of a panel
     "wall_yaw_deg": 4.0,
-    "guard_height_m": 0.02,  # for a vehicle without its own guard_height_sd_m
+    "guard_height_m": 0.02,  # metres; applies if the vehicle's configuration has no guard_height_sd_m
     "mass": 0.03,
     "wind_m_s": 0.5,  # a room with an open door, and the vehicle's own wash; gusts are half as large
     "servo": 0.2,  # travel of 60 degrees: 0.15 to 0.19 s without load, longer with load (manufacturer)
@@ -43,7 +43,7 @@ SPREADS: Final[Mapping[str, float]] = {
     "replan_latency_s": 0.02,  # 15 to 25 ms on one core (docs/replanning.md)
 }
 NAMES = tuple(SPREADS)
-LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # value of a faultless lock in `drawn`
+LOCK_TRUE_MODE, AS_COMMANDED = "lock_true_mode", "as commanded"  # the value in `drawn` for a faultless lock
 _OF_LOCK = (LOCK_TRUE_MODE, "servo")
 
 
@@ -61,7 +61,7 @@ class DrawnWorld(NamedTuple):
 
 
 def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, float]:
-    """Return the spreads, name -> standard deviation, from settings `NAME[=SD]`.
+    """Parse settings `NAME[=SD]`, and return the standard deviation of each named quantity.
 
     `all` selects every quantity that the vehicle has, with its default spread. Raise InputError if a name is
     unknown or refers to a part that the vehicle lacks, or if a number is below 0.
@@ -93,7 +93,7 @@ def parse_vary(settings: Iterable[str], vehicle: VehicleConfig) -> dict[str, flo
 def draw_world(mission: Mission, seed: int, spreads: Mapping[str, float]) -> DrawnWorld:
     """Draw the world for one flight of a mission; `parse_vary` describes `spreads`."""
     world = DrawnWorld(mission, None, {})
-    for name in NAMES:  # in the table's order, independent of the requested order
+    for name in NAMES:  # draw in the table's order, whatever the order of the request
         if spreads.get(name):
             world = _DRAWS[name](world, random.Random(f"{seed} {name}"), spreads[name])
     return world

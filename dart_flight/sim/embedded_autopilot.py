@@ -286,7 +286,7 @@ class Autopilot:
     def _hold_here(self) -> None:
         """Hold the current heading, and the position at which the vehicle would stop."""
         e = self.estimator
-        # PX4 brakes before it holds, which takes about 0.5 s with the gains 0.95 1/s and 1.8 1/s.
+        # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s, braking takes about 0.5 s.
         ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
         self._hold = TrajectorySetpoint(
             (
@@ -343,7 +343,7 @@ class Autopilot:
 def default_parameters(
     vehicle: VehicleConfig, position_from: PositionSource = PositionSource.MOCAP
 ) -> dict[str, Value]:
-    """Return PX4 parameters from the configuration and from a typical vehicle.
+    """Return PX4 parameters from the configuration, and typical values for the other parameters.
 
     An int is an INT32 parameter of PX4, a float a REAL32 parameter.
     """
@@ -356,7 +356,7 @@ def default_parameters(
     parameters |= rotor_parameters(vehicle.airframe.motors)
     parameters["SYS_AUTOSTART"] = 4001
     parameters["MAV_SYS_ID"] = 1
-    # The values that `check` requires, also of GPS parameters: clients request missing parameters repeatedly.
+    # Include the GPS parameters that `check` reads, because clients request a missing parameter repeatedly.
     for source in (PositionSource.RTK, PositionSource.MOCAP, position_from):
         parameters |= {p.name: p.value for p in vehicle_parameters(source).values()}
     parameters |= vehicle.mocap.measured_parameters()

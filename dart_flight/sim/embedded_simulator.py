@@ -28,8 +28,8 @@ from dart_flight.sim.pose_feed import EmulatedMotionCapture
 from dart_flight.sim.served_world import WorldLog, serve
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
-_ORPHAN_S = 28.0  # longest flight after the app's end; with start and stop, the total is below 30 s
-_PILOT_S = 3.0  # longest flight after the app's end in a pilot's mode, in which the vehicle only holds still
+_ORPHAN_S = 28.0  # longest flight after the app's end, so that the process ends within 30 s
+_PILOT_S = 3.0  # the same limit in a pilot's mode, in which the vehicle only holds its position
 
 
 class EmbeddedSimulator:

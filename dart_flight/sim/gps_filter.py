@@ -10,7 +10,7 @@ from dart_flight.base.geometry import Vec3
 
 
 class GpsWeights(NamedTuple):
-    """Weights of the filter.
+    """The noise and the accelerometer bias that the filter assumes.
 
     Attributes:
         position_m, velocity_m_s: assumed noise of a fix, EKF2_GPS_P_NOISE and EKF2_GPS_V_NOISE.
@@ -23,7 +23,7 @@ class GpsWeights(NamedTuple):
 
 
 class GpsFilter:
-    """Covariance and gains of position, velocity and accelerometer bias; the same for every axis."""
+    """A Kalman filter for position, velocity and accelerometer bias, with the same gains for every axis."""
 
     _ACCELERATION_M_S2: Final = 0.35  # PX4's EKF2_ACC_NOISE, for samples at 100 Hz
     _BIAS_M_S3: Final = 0.003  # EKF2_ACC_B_NOISE

@@ -32,8 +32,8 @@ from dart_flight.sim.pipe import Stepped
 _SILENT_S: Final = 10.0  # after this host time without an answer, the flight ends
 _LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and is logged
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # longest host time counted between two polls; a suspended process takes longer
-_SENDER_S: Final = 0.2  # host time for the autopilot's sender to catch up
+_STEP_MAX_S: Final = 0.2  # count at most this host time between two polls; a suspended process takes longer
+_SENDER_S: Final = 0.2  # wait at most this host time for the autopilot's sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"
 _SENT: Final = {kind: f"a {kind} of the application" for kind in ("setpoint", "pose")}
@@ -108,7 +108,7 @@ class Lockstep:
         self._report, self._unanswered_s = report, 0.0
 
     def publish(self, stream: str, number: int) -> None:
-        """Store the number of the newest message on a stream of the world's own; numbers must increase."""
+        """Store the number of the newest message on a stream that the world sends; numbers must increase."""
         self._published[stream] = number
 
     def _sent(self) -> dict[str, int]:
@@ -123,8 +123,7 @@ class Lockstep:
             return None
         if report.commands and self._answers_at_rest:
             return "the result of a command"
-        # The application's clock is the newest stamp. A message with the due time must therefore arrive
-        # first.
+        # The application's clock is the newest stamp, so a message with the due time must arrive first.
         if report.plan_due_us is not None and next_us > report.plan_due_us + TICK_US + self._sender_lag_us:
             return "the planner"
         # MAVSDK may hold a setpoint back until a command has its result.

@@ -315,7 +315,7 @@ class MavlinkEndpoint:
         for mode, numbers in _MODES.items():
             if numbers == wanted or (wanted[0] != 4 and numbers[0] == wanted[0]):
                 return _result(self.autopilot.set_mode(mode))
-        if wanted[0] in (1, 2, 5, 7, 8):  # other modes with remote control
+        if wanted[0] in (1, 2, 5, 7, 8):  # the other modes in which a pilot steers
             self.autopilot.set_mode(FlightMode.MANUAL)
             return int(mavlink.MAV_RESULT_ACCEPTED)
         return int(mavlink.MAV_RESULT_DENIED)

@@ -70,16 +70,16 @@ from dart_flight.contact.propeller_guards import (
 STEP_S: Final = 0.001
 CONTACT_STEPS: Final = 10  # number of steps of 0.1 ms in one step of 1 ms
 _END_STEPS: Final = 40  # steps near a wall's end: a force may jump there as a guard leaves the surface
-_NEAR_WALL_M: Final = 0.08  # at more than this distance, no contact below 5 m/s begins
-_NEAR_END_M: Final = 0.03  # from more than this distance, no guard reaches an edge (1 cm) in one step
-_BEHIND_M: Final = -0.6  # a vehicle farther behind a plane is on the wall's other side
+_NEAR_WALL_M: Final = 0.08  # a vehicle farther away and slower than 5 m/s begins no contact
+_NEAR_END_M: Final = 0.03  # a guard farther than this from an edge does not reach it in one step (1 cm)
+_BEHIND_M: Final = -0.6  # a vehicle farther behind the wall's plane is on the other side of the wall
 _REBOUND_S: Final = 0.01  # a guard that returns within this time continues the same contact
 _HALF_ENGAGED: Final = 0.5  # freedom of the arms with half-engaged rods, relative to unlocked arms
 _GROUND_M: Final = 0.01  # above this height, the landing gear touches nothing
 _NO_LOAD: Final = NO_LOAD
 _NO_FORCE = (0.0, 0.0, 0.0)
 _AT_REST = (0.0, 0.0, 0.0, 0.0)  # the arms' displacement north and east (m) and its rate (m/s)
-_GAIN_M_S: Final = 0.5  # upper limit of the speed gained by thrust within a tick
+_GAIN_M_S: Final = 0.5  # thrust increases the speed by less than this within a tick
 _QUARTER = 0.5 * math.pi  # the vehicle has four-fold symmetry
 GROUND_FRICTION: Final = 0.6  # rubber feet on a hall floor
 _GROUND_STEPS: Final = 2  # steps per millisecond if only the landing gear touches; more steps change nothing
@@ -242,8 +242,8 @@ class Plant:
         self._sensed: Vec3 = (0.0, 0.0, -GRAVITY_M_S2)
         lever = vehicle.simulation.imu_position_m
         self._imu_lever: Vec3 | None = lever if any(lever) else None
-        # First-order low-pass: the fraction of the input-output difference that is left after one step, and
-        # the mean of this fraction over the step.
+        # First-order low-pass: the fraction of the difference between input and output that remains after one
+        # step, and this fraction's mean over the step.
         steps_per_lag = 2.0 * math.pi * vehicle.imu.antialias_hz * STEP_S
         self._antialias_decay = math.exp(-steps_per_lag)
         self._antialias_mean = (1.0 - self._antialias_decay) / steps_per_lag

@@ -109,7 +109,7 @@ class PoseSensor:
         self._noise = noise
         self._period_s = 1.0 / s.pose_rate_hz
         self._delay_s = s.pose_delay_s
-        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the origin; a fault may set it
+        self.offset_ned: Vec3 = (0.0, 0.0, 0.0)  # offset of the room's origin, which a fault may set
         self._next_s = 0.0
         self._pending: deque[tuple[float, Vec3, Quaternion]] = deque()
 

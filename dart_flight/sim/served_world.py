@@ -1,4 +1,4 @@
-"""The process of every simulated world: it serves the app over a pipe, keeps a pace, and ends with the app.
+"""The process of a simulated world: it serves the app over a pipe, limits the pace, and ends after the app.
 
 The app's commands arrive on standard input. The truth goes to standard output, one JSON object per line.
 """
@@ -84,8 +84,8 @@ class ServedWorld(Protocol):
 def speed_limit(speed: float, lockstep: Lockstep | None, *, connected: bool) -> float:
     """Return the current limit of the real-time factor.
 
-    A world in lockstep may be faster than real time only while it waits for the app. It does not wait before
-    the app's first report, nor while a request to PX4 is open. Its telemetry could then run ahead of the app.
+    A world in lockstep may be faster than real time only while it waits for the app. Before the app's first
+    report, or while PX4 has an open request, the world does not wait, and telemetry could run ahead.
     """
     held = lockstep is None or (connected and lockstep.limits_pace)
     return speed if held else min(speed, 1.0)

@@ -24,7 +24,7 @@ class LockServo:
         self._wanted = Mode.FLEXIBLE
 
     def set_horn(self, pulse_us: float) -> None:
-        if pulse_us != self._horn_us:  # the usual case is a horn at rest
+        if pulse_us != self._horn_us:  # usually the horn is at rest
             self._horn_us = pulse_us
             # Between the ends the rods do not hold all four arms, so only the rigid end counts as rigid.
             rigid = mode_of(self._config, pulse_us) is Mode.RIGID

@@ -1,4 +1,4 @@
-"""The simulated vehicle for another program: it has no pipe and sends no truth. A signal stops it."""
+"""The simulated vehicle for other programs, without a pipe to an app. A signal stops it."""
 
 from __future__ import annotations
 

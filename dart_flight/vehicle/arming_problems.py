@@ -49,7 +49,7 @@ def report_from_sys_status(sensors: Sensors) -> Report:
     """Report the enabled but unhealthy sensors, for a PX4 that sends no health reports."""
     bad = sensors.enabled & ~sensors.healthy
     words = tuple(f"{name} not healthy" for bit, name in _SENSORS.items() if bad & 1 << bit)
-    refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets this bit only in `healthy`
+    refused = not sensors.healthy & _PREARM  # PX4 v1.14 sets the pre-arm bit only in `healthy`
     # The checks may fail for a reason other than the unhealthy sensors.
     return not refused, ("preflight checks failed",) if refused else (), words
 

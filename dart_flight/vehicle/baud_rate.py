@@ -86,7 +86,7 @@ def _listen(port: int, baud: int, sent: bytes = b"") -> bytes:
     if speed is None:
         return b""
     settings = termios.tcgetattr(port)
-    settings[0] = settings[1] = settings[3] = 0  # raw: no translation, no echo
+    settings[0] = settings[1] = settings[3] = 0  # raw mode: the port neither translates nor echoes bytes
     settings[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
     for k in _SPEED:
         settings[k] = speed

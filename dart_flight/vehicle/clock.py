@@ -14,7 +14,7 @@ from dart_flight.base.stamps import LeapFilter
 
 _WINDOW = 8  # seconds; the estimate keeps the largest difference of each second
 _LOCKSTEP_STEP_US = 2000
-_LEAPS_ACCEPTED = 50  # consecutive leaping stamps, of all streams together, that confirm a leap
+_LEAPS_ACCEPTED = 50  # this many consecutive leaping stamps, counted over all streams, confirm a leap
 _STEP_US = 200  # smaller changes of the estimate are not reported
 
 
@@ -53,7 +53,7 @@ class _RealHost:
     _PACE_KNOWN = True  # whether the autopilot's clock runs at the rate of the host's clock
 
     def round_trip(self, sent_us: int, received_us: int, autopilot_us: int | None) -> RoundTrip:
-        """Return the round trip, without the autopilot's time if that clock may run at a different rate."""
+        """Return the round trip; omit the autopilot's time if that clock may run at a different rate."""
         return RoundTrip(received_us, sent_us, autopilot_us if self._PACE_KNOWN else None)
 
     @staticmethod

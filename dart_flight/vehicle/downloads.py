@@ -23,7 +23,7 @@ _SILENT_S = 3.0  # timeout without progress
 _LOG_SILENT_S = 15.0  # timeout for a log, which a lossy link delays by repeating chunks
 _CANCELLED_S = 2.0  # timeout for the last callback after a cancellation
 _RATED_S = 2.0  # time from a download's start until its duration is estimated
-_CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # earlier dates come from flight controllers without a clock
+_CLOCK_SET = datetime(2020, 1, 1, tzinfo=UTC)  # an earlier date shows that the flight controller had no clock
 _ULOG_MAGIC = b"ULog\x01\x12\x35"
 
 

@@ -126,7 +126,7 @@ class HeartbeatMode(msgspec.Struct, frozen=True):
 _HEARTBEAT_S = 3.0
 _REPORT_S = 5.0  # additional wait for PX4's reasons for not arming; MAVSDK must first fetch their texts
 _ROUND_TRIPS_S, _ROUND_TRIP_MAX_S = 1.0, 5.0
-_MAX_UNANSWERED = 2  # unanswered requests until an error; MAVSDK retries each one for several seconds
+_MAX_UNANSWERED = 2  # number of unanswered requests before an error; MAVSDK retries each for seconds
 _WAIT_POLL_S = 0.1  # interval between requests for the vehicle's time during a wait
 _FUSION_S = 10.0  # timeout until PX4 has a position from the forwarded poses
 

@@ -252,7 +252,7 @@ def _owners_of_device(device: Path, besides: int | None = None) -> str:
 
 
 def _owners(targets: set[str], besides: int | None = None) -> str:
-    """Name all processes (except `besides`) with an open file or socket in `targets`."""
+    """Name all processes that have a file or socket in `targets` open; omit the process id `besides`."""
     found = []
     for process in Path("/proc").iterdir():
         if not process.name.isdigit() or int(process.name) == besides:

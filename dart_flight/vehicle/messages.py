@@ -25,8 +25,8 @@ from dart_flight.base.streams import BY_MESSAGE, Stream
 AUTOPILOT: Final = 1  # component id
 _PX4: Final = 12  # MAV_AUTOPILOT
 _OTHER_AUTOPILOTS: Final = {0: "a generic autopilot", 3: "ArduPilot", 8: "no autopilot"}
-_MAX_SPECIFIC_FORCE_M_S2: Final = 600.0  # three axes at 32 g give 544
-_MAX_RATE_RAD_S: Final = 75.0  # 4000 deg/s is 70 rad/s
+_MAX_SPECIFIC_FORCE_M_S2: Final = 600.0  # three axes at 32 g give 544 m/s2
+_MAX_RATE_RAD_S: Final = 75.0  # a gyro range of 4000 deg/s is 70 rad/s
 _UNIT_TOLERANCE: Final = 0.01
 _MAX_POSITION_M: Final = 10_000.0
 _MAX_SPEED_M_S: Final = 100.0
@@ -396,7 +396,7 @@ class Timesync(msgspec.Struct):
         return self.tc1 // 1000
 
     def value(self, _: Receive) -> Timesync | Unusable:
-        # PX4 sends requests too.
+        # PX4 also sends requests, whose `tc1` is 0.
         return self if self.tc1 > 0 else Unusable("the message is a request")
 
 

@@ -17,7 +17,7 @@ def send_as(mavsdk: Any, component: ComponentType, system_id: int) -> int:
     """Send all subsequent messages of a connection as a component of system `system_id`.
 
     MAVSDK's C library has a function for this; its Python package does not. Return the system id that the
-    messages then have. If the library lacks this function, MAVSDK's default id remains.
+    messages then have. If the library lacks this function, the messages keep MAVSDK's default id.
     """
     configuration = Configuration.create_with_component_type(component)
     if configuration.system_id == system_id:

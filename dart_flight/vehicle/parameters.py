@@ -22,8 +22,8 @@ from dart_flight.vehicle import messages
 from dart_flight.vehicle.messages import AUTOPILOT, ListedParameter
 from dart_flight.vehicle.vehicle_session import VehicleError, VehicleSession
 
-_READ_S = 90.0  # timeout for all parameters read by name; a name without an answer takes 3 s
-_LIST_S = 60.0  # timeout for the list
+_READ_S = 90.0  # timeout for all reads by name together; a read without an answer takes 3 s
+_LIST_S = 60.0  # timeout for the complete list
 _SILENT_S = 1.5  # after this time without a new entry, the missing entries are requested
 _ROUNDS = 3  # after this many consecutive requests without a new entry, the list counts as complete
 _CHUNK = 40  # number of entries requested together; a slow radio would drop more
@@ -41,7 +41,7 @@ class ParameterList:
     """
 
     def __init__(self) -> None:
-        self.names: dict[int, str] = {}  # by index in the list
+        self.names: dict[int, str] = {}  # names of the parameters by their index in the list
         self.answered: set[str] = set()  # all received names
         self.count: int | None = None
         self.restarts = 0

@@ -24,7 +24,7 @@ _lock = threading.Lock()
 _closing = 0  # connections that are being closed
 _NUMBER = re.compile(r"\d+")
 _MAX_KINDS = 1000  # maximum number of stored kinds; a damaged link may produce any number of kinds
-# Text without its numbers -> level, first text, number of repetitions.
+# Map each text, with its numbers removed, to its level, its first full text and its number of repetitions.
 _repeated: dict[str, tuple[int, str, int]] = {}
 
 

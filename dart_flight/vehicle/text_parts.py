@@ -6,9 +6,9 @@ from typing import Any
 
 from dart_flight.vehicle.messages import TextChunk
 
-_CUT = "..."  # replaces a lost part
+_CUT = "..."  # stands for a lost part
 _PART = 50  # bytes
-_LONGEST = 199  # four parts; PX4's forwarding buffer is small
+_LONGEST = 199  # four parts; a limit, because PX4's forwarding buffer is small
 _INFO = 6  # MAV_SEVERITY
 
 

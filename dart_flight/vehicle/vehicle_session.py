@@ -135,9 +135,9 @@ class VehicleSession:
         self.batteries = Batteries()
         self.motor_outputs: MotorOutputDecoder | None = None
         self._texts = TextAssembler()
-        self._reported_us: dict[str, int] = {}  # time of the last report, by unusable message
+        self._reported_us: dict[str, int] = {}  # time of the last report about each unusable message
         self._reports_unusable = False
-        self._rpm: list[float] = []  # speeds with the same stamp; each message contains four motors
+        self._rpm: list[float] = []  # motor speeds with the same stamp; one message has four of them
         self._rpm_us: int | None = None
         self._reset_counter: int | None = None
         self.clock: Clock = clock if clock is not None else ClockEstimate()
@@ -216,7 +216,7 @@ class VehicleSession:
 
             def receive(stamp_us: int) -> int:
                 nonlocal received
-                if is_own:  # the clock must not follow another sender
+                if is_own:  # the clock must follow only the connected autopilot
                     received = self.clock.receive(stamp_us, received)
                 return received
 
@@ -259,7 +259,7 @@ class VehicleSession:
         return found[0] if found else None
 
     def next(self, entry: MessageEntry, timeout_s: float) -> Any:
-        """Block until the next usable value arrives; return None after the timeout."""
+        """Block until the next usable value arrives, and return the value; return None after the timeout."""
         came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         handle = self.listen(entry, lambda value, _: came.put(value))
         try:
@@ -336,7 +336,7 @@ class VehicleSession:
     async def keep_measuring(self) -> None:
         """Send TIMESYNC requests periodically; the subscription of `measure_link` handles the answers."""
         while True:
-            with contextlib.suppress(Exception):  # a broken link is detected by missing answers
+            with contextlib.suppress(Exception):  # missing answers reveal a broken link
                 self.request_time()
             await asyncio.sleep(_REQUEST_PERIOD_S)
 
@@ -427,7 +427,7 @@ class VehicleSession:
 
     def _on_status(self, **changes: Any) -> None:
         received = self._host_us()
-        pin_thread_state()  # all callbacks run on this thread, so an infrequent callback suffices
+        pin_thread_state()  # all callbacks share one thread, so an infrequent callback suffices for this
         self._status = msgspec.structs.replace(
             self._status, t_us=self.clock.to_autopilot(received), received_us=received, **changes
         )
@@ -545,7 +545,7 @@ class VehicleSession:
             )
 
     async def perform(self, action: VehicleAction) -> str:
-        """Return an empty string, or the reason why the action was not performed."""
+        """Perform an action; return the reason if it was not performed, otherwise an empty string."""
         if self._silent:
             return "silent"
         calls: dict[VehicleAction, Callable[..., Any]] = {

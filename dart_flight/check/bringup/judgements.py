@@ -36,11 +36,11 @@ _TILTED_DEG = (20.0, 60.0)
 _AXIS_DEG = 30.0  # direction tolerance when the operator tilts, pushes or carries the vehicle
 _LEVEL_DEG = 12.0
 _PUSH_M_S2 = 3.0
-_PUSH_US = 30_000  # averaging time; longer than a bump, shorter than a push
+_PUSH_US = 30_000  # averaging time, longer than a bump and shorter than a push
 _CARRIED_M = 0.4
 _RESTING_M_S = 0.15
-_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # minimum motion that shows all axes
-_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; unrelated motions had up to 0.8 in the rates
+_TURNED_RAD_S, _TILTING_RAD_S, _CARRIED_M_S2 = 0.3, 0.15, 0.5  # minimum motion for identifying the axes
+_SAME_RATES, _SAME_FORCES = 0.9, 0.7  # minimum correlations; unrelated rates correlate by up to 0.8
 _POSE_AXIS_DEG = 10.0
 _SCALE = 0.1
 _OLDEST_POSE_MS = 100.0
@@ -145,7 +145,7 @@ def is_tilted(level: Vec3, now: Vec3) -> bool:
 
 
 def evaluate_level(level: Vec3) -> StepFinding | None:
-    """Return a finding if the specific force of a level vehicle is wrong; None if it is correct."""
+    """Return a finding if the specific force does not match a level vehicle; None if it is correct."""
     tilt = math.degrees(math.atan2(math.hypot(level[0], level[1]), -level[2]))
     measured: Measured = {f"level_{axis}_m_s2": round(v, 2) for axis, v in zip("xyz", level, strict=True)}
     if tilt > 180.0 - 3 * _LEVEL_DEG:

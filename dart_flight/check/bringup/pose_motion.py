@@ -173,7 +173,7 @@ def _best_latency(pose_rate: Array, gyro_at: Callable[[float], Array]) -> float:
     coarse = np.arange(_LATENCY_S[0], _LATENCY_S[1] + 0.5 * _COARSE_S, _COARSE_S)
     best = coarse[int(np.argmax([agreement(x) for x in coarse]))]
     step = _COARSE_S
-    for _ in range(3):  # fit a parabola through three points, with decreasing steps
+    for _ in range(3):  # fit a parabola through three points, and repeat this with a smaller step
         before, here, after = (agreement(best + k * step) for k in (-1, 0, 1))
         curvature = before - 2.0 * here + after
         if curvature < 0.0:
@@ -197,7 +197,7 @@ def _resample(at_s: Array, times_s: Array, values: Array) -> Array:
 
 
 def _without_gaps(grid: Array, times_s: Array, reach_s: float) -> NDArray[np.bool_]:
-    """Return a mask of the times that are farther than `reach_s` (half the filter's width) from every gap."""
+    """Return a mask of the times at least `reach_s` (half the filter's width) away from every gap."""
     whole = np.ones(len(grid), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(times_s) > _GAP_S):
         whole &= (grid < times_s[k] - reach_s) | (grid > times_s[k + 1] + reach_s)
@@ -251,7 +251,7 @@ def _smooth(values: Array, sigma_s: float) -> Array:
 def _second_derivative(values: Array, sigma_s: float) -> Array:
     t, gaussian = _kernel(sigma_s)
     kernel = gaussian * (t**2 / sigma_s**4 - 1.0 / sigma_s**2)
-    # Correct the truncated kernel, so that the derivative of a parabola is exact.
+    # Scale the truncated kernel so that the derivative of a parabola is exact.
     kernel -= kernel.mean()
     kernel /= 0.5 * float((kernel * t**2).sum())
     return _filtered(values - values[0], kernel)

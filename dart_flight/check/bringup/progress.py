@@ -28,7 +28,7 @@ class StepRecord(msgspec.Struct, frozen=True):
 
 
 class BringupRecord(msgspec.Struct):
-    """All steps of one vehicle, in order."""
+    """The bring-up of one vehicle, with the last result of every step in order."""
 
     vehicle: VehicleSource
     connection: str

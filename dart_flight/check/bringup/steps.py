@@ -60,7 +60,7 @@ _STATUS_S = 1.5  # SYS_STATUS arrives at least once per second
 _RADIO_S = 2.0
 _POLL_S = 0.05
 _KEPT = 4000  # maximum number of stored samples per stream
-_MOTION_S = 12.0  # duration of the motion by hand that is compared with the poses
+_MOTION_S = 12.0  # duration of the motion by hand
 _NEW_MOTION_S = 2.0  # interval between comparisons of the motion
 
 Found = TypeVar("Found")
@@ -81,7 +81,7 @@ class NotDoneError(Exception):
 
 
 class Telemetry:
-    """The samples since the last `clear`, one queue per stream, and a force estimate (`force_at`)."""
+    """A store of the samples since the last `clear`, from which `force_at` estimates the force."""
 
     def __init__(self, mission: Mission) -> None:
         self._mission = mission
@@ -282,7 +282,7 @@ class Bringup:
                 moves = [self._move(lock, mode) for mode in (Mode.FLEXIBLE, Mode.RIGID, Mode.FLEXIBLE)]
         except DriverError as error:
             return failed(f"{error}")
-        return judgements.evaluate_servo(config, moves[1:])  # the first move began at an unknown position
+        return judgements.evaluate_servo(config, moves[1:])  # skip the first move, whose start is unknown
 
     def _move(self, lock: GroundLock, mode: Mode) -> tuple[Mode, LockState, bool | None]:
         state = lock.move(mode)

@@ -38,11 +38,11 @@ ERRORS = (
     "script call stack error",
     "script program counter error",
 )
-SERIAL_ERRORS = 0b0011_1111  # errors after which a command may be lost
+SERIAL_ERRORS = 0b0011_1111  # serial errors that may have lost a command
 
 _ATTEMPTS = 3
 _MAX_POSITION = 4095 * QUARTERS_PER_US  # longest servo pulse
-_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # largest change of a moving position between two queries
+_MAX_RAMP_BETWEEN = 16 * QUARTERS_PER_US  # a moving position changes by at most this much between two queries
 
 
 def error_names(bits: int) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ class MaestroDriver:
         except (OSError, ValueError, termios.error) as error:
             # pyserial's SerialException is an OSError; its message already names the port.
             raise DriverError(f"cannot open {name}: {_short_message(error)}", key) from None
-        self._query_errors()  # clears old errors and verifies that a Maestro answers
+        self._query_errors()  # this query clears old errors and shows that a Maestro answers
         speed = round(self._config.speed_limit_us_s / SPEED_UNIT_US_S)
         self._command(SET_SPEED, speed)
 

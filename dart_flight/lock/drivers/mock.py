@@ -47,7 +47,7 @@ class MockDriver:
         pulse_us: float | None = None,
         faults: MockFaults | None = None,
     ) -> None:
-        """`pulse_us` is the initial position of the horn; default: the flexible end."""
+        """`pulse_us` is the initial position of the horn, by default the flexible end."""
         self._config = config
         self._clock_us = clock_us
         self._faults = faults or MockFaults()

@@ -34,7 +34,7 @@ class _BoardPwm(NamedTuple):
     gpio18: int
 
 
-_BOARDS: Final[Mapping[str, _BoardPwm]] = {  # by the device's name, to which pwmchipN/device links
+_BOARDS: Final[Mapping[str, _BoardPwm]] = {  # keys: device names to which pwmchipN/device links
     "1f00098000.pwm": _BoardPwm("Raspberry Pi 5", 2),
     "fe20c000.pwm": _BoardPwm("Raspberry Pi 4", 0),
     "3f20c000.pwm": _BoardPwm("Raspberry Pi 3", 0),

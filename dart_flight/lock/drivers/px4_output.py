@@ -110,7 +110,7 @@ def actuator_pulse_us(config: LockConfig, value: float) -> float:
 
 
 class Px4Driver:
-    """The lock's servo on an output of PX4. PX4 reports no position: a reading is the last command."""
+    """The lock's servo on an output of PX4. PX4 reports no position, so a reading is the last command."""
 
     def __init__(self, config: LockConfig, link: ActuatorLink) -> None:
         self._config, self._link = config, link

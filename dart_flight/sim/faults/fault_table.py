@@ -28,7 +28,7 @@ from dart_flight.sim.faults.impairment import Impairment
 from dart_flight.sim.simulated_vehicle import SimulatedVehicle
 
 _GUST_S = 0.6
-_INTRUDER_EVERY = 12  # ticks: a second ground station sends at 20 Hz, like this program
+_INTRUDER_EVERY = 12  # ticks between setpoints of a second ground station, about 20 Hz as in this program
 
 
 class FaultSite(StrEnum):
@@ -44,7 +44,7 @@ class FaultSite(StrEnum):
 
 
 class FaultKind(msgspec.Struct, frozen=True):
-    """A row of the fault table; `value` is the default in `unit`, and `low` to `high` its range."""
+    """A row of the fault table; `value` is the default size in `unit`, and a size is from `low` to `high`."""
 
     name: str
     site: FaultSite

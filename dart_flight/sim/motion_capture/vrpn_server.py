@@ -13,7 +13,7 @@ from dart_flight.base.geometry import Quaternion, Vec3
 
 _LOOPBACK: Final = "127.0.0.1"
 _COOKIE: Final = b"vrpn: ver. 07.35  0".ljust(24, b"\0")
-_SENDER, _TYPE = -1, -2  # types of the messages that describe a name
+_SENDER, _TYPE = -1, -2  # types of the messages that announce a name
 _SEND_S: Final = 2.0  # a client that reads nothing for this time is dropped
 _POLL_S: Final = 0.2
 

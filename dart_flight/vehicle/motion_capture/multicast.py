@@ -65,8 +65,8 @@ def card_address(address: PoseAddress) -> str | None:
 def join_group(link: socket.socket, group: str, card: str | None) -> str:
     """Join a multicast group on the interface with address `card`; return the address.
 
-    If `card` is None, join on every interface and return the names, because the kernel would choose the
-    interface of the default route. Raise OSError if no interface accepts the group.
+    If `card` is None, join on every interface and return all names; the kernel would join on one. Raise
+    OSError if no interface accepts the group.
     """
     if card is not None:
         _join(link, group, card, 0)

@@ -24,7 +24,7 @@ _TRANSMISSION: Final = struct.Struct("<QHB4B")
 _SIZED: Final = (4, 1)  # first version in which descriptions and lists have a size
 _RIGID_BODY: Final = 1  # kind of a description
 _POSE: Final = "<I7f"  # id, position, attitude as x, y, z, w
-_TRACKED: Final = 1  # bit of a rigid body's parameters
+_TRACKED: Final = 1  # this bit of a rigid body's parameters is set if the body is tracked
 
 Version = tuple[int, int]
 

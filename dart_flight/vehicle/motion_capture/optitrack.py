@@ -131,7 +131,7 @@ class OptiTrackSource:
         return f'Motive streams no rigid body "{self._address.body}", only {known} (ids {ids}){unread}'
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
-        for link in self._links:  # discard the frames that wait in the sockets
+        for link in self._links:  # discard frames that arrived before the start
             link.settimeout(0.0)
             with contextlib.suppress(OSError):
                 while True:

@@ -22,7 +22,7 @@ _BODY_FRD: Final = 12  # MAV_FRAME of the velocities, which are not sent
 _VISION: Final = 2  # MAV_ESTIMATOR_TYPE; PX4's EKF2 ignores the MOCAP type
 _POSITION_SD_M: Final = 0.01  # PX4 uses EKF2_EVP_NOISE if that parameter is larger
 _ANGLE_SD_RAD: Final = 0.01
-_EARLY: Final = 0.125  # a frame may be early by this fraction of a period, because of jitter
+_EARLY: Final = 0.125  # because of jitter, a frame may be early by this fraction of a period
 _STALE_US: Final = 300_000  # minimum age of a stale frame; longer than any latency with which PX4 can fly
 _JUMPED_US: Final = 1_000_000  # duration of stale frames that proves a clock jump; a delayed burst is shorter
 _FINE_US: Final = 100_000  # maximum difference between successive stamps for the stamps to be usable
@@ -223,7 +223,7 @@ class MotionCaptureBridge:
 
     @property
     def problem(self) -> str | None:
-        """The reason why PX4 gets no poses, or None while it gets them."""
+        """The reason why PX4 gets no poses, or None while PX4 gets poses."""
         now_us, newest = self._clock.host_us(), self._newest
         silent_us, poor_us = now_us - self._frame_us, now_us - self._good_us
         if self._source.problem is not None:

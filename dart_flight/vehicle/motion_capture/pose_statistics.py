@@ -22,8 +22,8 @@ from dart_flight.base.records import AttitudeSample, Input, OdometrySample, Pose
 
 GAP_US: Final = 100_000  # minimum duration of a gap; at 50 Hz, PX4 misses five poses in this time
 _RATE_US: Final = 2_000_000  # time window for the rate and the senders
-_BEST_S: Final = 60  # window for the shortest age; in this time, clocks drift apart by only a few ms
-_AGE_POSES: Final = 25  # number of poses in the median age
+_BEST_S: Final = 60  # window for the shortest age; the clocks drift apart by only a few ms in it
+_AGE_POSES: Final = 25  # the age is the median over this many poses
 _FRESH_US: Final = 500_000  # maximum age of PX4's estimate for a comparison with the poses
 
 
@@ -64,7 +64,7 @@ class ShortestOffset:
     """
 
     def __init__(self) -> None:
-        self._best_us: deque[int] = deque(maxlen=_BEST_S)  # by second of receipt
+        self._best_us: deque[int] = deque(maxlen=_BEST_S)  # smallest offset in each second of receipt
         self._second: int | None = None
 
     def add(self, offset_us: int, received_us: int) -> None:
@@ -135,7 +135,7 @@ class PoseStatistics:
         self._pose = self._room.pose_to_ned(pose.position_room, pose.q_body_to_room)
         if pose.source_us is not None:
             self._add_age(now - pose.source_us, now)
-        elif self._late_us:  # the stamps have turned out to be unusable
+        elif self._late_us:  # the bridge has found the stamps unusable
             self._late_us.clear()
             self._first_late_ms = None
 

@@ -19,7 +19,7 @@ from dart_flight.config.document import InputError
 from dart_flight.config.packages import missing_package
 
 _MAX_M: Final = 1000.0  # maximum coordinate; a larger value means that the sender's unit is not the metre
-_MAX_US: Final = 2**62  # maximum stamp; the difference between a larger stamp and a clock may exceed 64 bits
+_MAX_US: Final = 2**62  # maximum stamp; a larger stamp minus a clock's time may exceed 64 bits
 _MAX_NAMES: Final = 5  # maximum number of names listed in a message
 
 
@@ -45,7 +45,7 @@ def lost_pose(body: str, frame_number: int | None, source_us: int | None, sender
 
 
 def checked_pose(pose: RawPose) -> tuple[RawPose, str | None]:
-    """Return a pose with normalised attitude, and None.
+    """Return the pose with a normalised attitude, and None as the reason.
 
     If the numbers are not a pose in metres, return a lost pose and the reason instead. A stamp that is not a
     time is removed.
@@ -80,7 +80,7 @@ class PoseSource(Protocol):
 
     @property
     def problem(self) -> str | None:
-        """The reason why no poses of the body arrive, in one line, or None while they arrive."""
+        """One line with the reason why no poses of the body arrive, or None while poses arrive."""
 
     def start(self, deliver: Callable[[RawPose], None]) -> None:
         """Deliver every subsequent pose from the source's own thread."""

@@ -119,8 +119,7 @@ class VrpnSource:
     def _read(self, link: socket.socket) -> None:
         link.sendall(_COOKIE)
         link.settimeout(None)
-        # The source sends nothing more. Only keep-alive probes then show that the server has lost its
-        # network.
+        # The source sends nothing more, so only keep-alive probes show that the server's network is down.
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL, socket.TCP_KEEPCNT):
             link.setsockopt(socket.IPPROTO_TCP, option, 2)
