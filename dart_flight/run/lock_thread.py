@@ -22,9 +22,8 @@ class LockThread:
     In lockstep the thread polls the driver in simulated time, whenever `poll_if_due` finds a poll due.
 
     Args:
-        make_session: makes the session; its argument is a callback for every lock state. The thread waits
-            until the autopilot's time is known, because the lock's stamps could otherwise be later than that
-            time.
+        make_session: makes the session; its argument is a callback for each state. The thread waits until the
+            autopilot's time is known, because the lock's stamps could otherwise be later than that time.
     """
 
     def __init__(
