@@ -341,7 +341,7 @@ class _Painter:
         point = drawn.surface.displaced(-0.12 - 2.0 * self.unit_m).point
         aside, tangent = -0.2 * drawn.plane.length_m, drawn.surface.tangent
         at = (point[0] + aside * tangent[0], point[1] + aside * tangent[1], self.top)
-        self._text(f"{root}/name{i}", wall.id, drawn.name, at)
+        self._text(f"{root}/name{i}", wall.id, drawn.name, at, 0.5 + 0.5 * drawn.plane.normal[0])
 
     def _place(self, place: PlaceShape) -> None:
         root, (x, y, _) = node_name("room/object", place.id), place.at
@@ -385,8 +385,12 @@ class _Painter:
     def _beside(self, at: Vec3) -> Vec3:
         return at[0] + 1.3 * self.unit_m, at[1] + 1.3 * self.unit_m, at[2]
 
-    def _text(self, name: str, object_id: str, text: str, at: Vec3) -> None:
-        """Add a label with the problem of its object, where it covers no other label."""
+    def _text(self, name: str, object_id: str, text: str, at: Vec3, left: float = 0.0) -> None:
+        """Add a label with the problem of its object, where it covers no other label.
+
+        Args:
+            left: share of the label that is to the left of `at`.
+        """
         problem = self._problems.get(object_id)
         if problem is not None:
             shown = textwrap.wrap(problem, _LABEL_CHARACTERS)
@@ -395,6 +399,7 @@ class _Painter:
         lines, (x, y, z) = text.split("\n"), at
         wide = max(map(len, lines)) * _CHARACTER_PX * self._m_per_px
         high = len(lines) * _LINE_PX * self._m_per_px
+        x -= left * wide
         beyond = x + wide - self._right - _BESIDE * self._scene.size_m
         if beyond > 0.0:  # the name of a wall moves inside, other labels to the left of their object
             x -= beyond if object_id.startswith(("wall/", "simulated/")) else wide + 2.6 * self.unit_m
