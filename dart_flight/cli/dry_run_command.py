@@ -1,4 +1,4 @@
-"""`dart-flight dry-run MISSION`: fly the mission in simulation."""
+"""`dart-flight dry-run [MISSION]`: fly the mission in simulation."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
 from dart_flight.config.provenance import display_path
+from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.planning.positioning import effective_source
 from dart_flight.recording.verdict import Verdict
@@ -50,6 +51,9 @@ from dart_flight.sim.pipe import FULL_SPEED, require_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "mission", nargs="?", metavar="MISSION", help="mission file (default: the packaged dual collision)"
+    )
     add_flight_options(parser)
     add_px4_options(parser)
     parser.add_argument(
@@ -159,11 +163,16 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    mission = load_flyable(arguments.mission, arguments.config, arguments.set)
+    path = arguments.mission or packaged("missions", "dual_collision.yaml")
+    mission = load_flyable(path, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_emulated_mocap(arguments, mission)
     fly = flight_function(arguments, mission)
     console = messages()
+    if arguments.mission is None:
+        console.print(
+            "flying the packaged dual collision; `dart-flight init DIR` copies it and other missions"
+        )
     print_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),
