@@ -6,9 +6,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 FLYING := $(VENV)/.installed-to-fly
 FULL := $(VENV)/.installed-in-full
+SITE := $(VENV)/.installed-for-site
 MISSION ?= missions/dual_collision.yaml
 
-.PHONY: dry-run install test test-rest test-all bench campaign compiled wheels docs format clean
+.PHONY: dry-run install test test-rest test-all bench campaign compiled wheels docs site format clean
 .DEFAULT_GOAL := test
 
 $(VENV)/bin/python:
@@ -28,6 +29,10 @@ $(FLYING): pyproject.toml constraints.txt | $(VENV)/bin/python
 $(FULL): pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[full]'
 	@touch $@ $(FLYING)
+
+$(SITE): pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[site]'
+	@touch $@
 
 dry-run: $(FLYING)  # installs only what a dry-run needs
 	$(BIN)/dart-flight dry-run $(MISSION)
@@ -66,6 +71,9 @@ docs: $(STAMP)  # regenerates the tables, schemas and figures in docs/
 	$(BIN)/python -m tools.docs.concept_figures
 	$(BIN)/python -m tools.docs.animation
 	$(BIN)/python -m tools.docs.both_ways
+
+site: $(SITE)  # the manual as static pages in build/site; needs the network once, for the generator
+	$(BIN)/python -m tools.site
 
 format: $(STAMP)
 	$(BIN)/ruff format .

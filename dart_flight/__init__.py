@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 # processor time from a flight on the same machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # ruff: noqa: F405  (the names are in `api.__all__`, too)
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`dart-flight dry-run MISSION`: fly the mission in simulation."""
+"""`dart-flight dry-run [MISSION]`: fly the mission in simulation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ from dart_flight.cli.terminal import emit_json, keep_status, messages, styled, t
 from dart_flight.cli.vehicle_line import print_vehicle
 from dart_flight.config.document import InputError
 from dart_flight.config.mission import Mission
+from dart_flight.config.packages import install_command
 from dart_flight.config.provenance import display_path
+from dart_flight.config.vehicle import packaged
 from dart_flight.planning.envelope import impact_warnings
 from dart_flight.planning.positioning import effective_source
 from dart_flight.recording.verdict import Verdict
@@ -46,10 +48,13 @@ from dart_flight.run.prepare import as_rehearsal, load_flyable, with_driver, wit
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import parse_vary
 from dart_flight.sim.faults.fault_table import FaultSite, parse_mission_fault
-from dart_flight.sim.pipe import FULL_SPEED, require_mavlink
+from dart_flight.sim.pipe import FULL_SPEED, has_mavlink, require_mavlink
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "mission", nargs="?", metavar="MISSION", help="mission file (default: the packaged dual collision)"
+    )
     add_flight_options(parser)
     add_px4_options(parser)
     parser.add_argument(
@@ -158,12 +163,27 @@ def is_realtime(arguments: argparse.Namespace, mission: Mission) -> bool:
     return parse_mission_fault(mission, arguments.fault).kind.needs_real_time
 
 
+def _leaves_world_open(arguments: argparse.Namespace) -> bool:
+    """Return whether the user has chosen neither a mission nor anything that only one world offers."""
+    chosen = (arguments.mission, arguments.fast, arguments.live, arguments.realtime, arguments.speed)
+    return not any(chosen) and arguments.px4 is None and arguments.hitl is None
+
+
 def run(arguments: argparse.Namespace) -> int:
-    mission = load_flyable(arguments.mission, arguments.config, arguments.set)
+    path = arguments.mission or packaged("missions", "dual_collision.yaml")
+    falls_back = not has_mavlink() and _leaves_world_open(arguments)
+    arguments.fast = arguments.fast or falls_back
+    mission = load_flyable(path, arguments.config, arguments.set)
     mission = as_rehearsal(with_driver(mission, arguments.driver), arguments.standoff)
     mission = with_emulated_mocap(arguments, mission)
     fly = flight_function(arguments, mission)
     console = messages()
+    if arguments.mission is None:
+        console.print(
+            "flying the packaged dual collision; `dart-flight init DIR` copies it and other missions"
+        )
+    if falls_back:
+        console.print(f"flown with --fast, because pymavlink is not installed ({install_command('sim')})")
     print_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),

@@ -40,6 +40,7 @@ from dart_flight.vehicle.link import LinkLease
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_flight_options(parser)
     parser.add_argument(
         "--connection",

@@ -19,7 +19,6 @@ from dart_flight.vehicle.motion_capture.source import URLS
 
 
 def add_flight_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("mission", metavar="MISSION", help="mission file, see missions/")
     add_log_dir_option(parser)
     add_driver_option(parser)
     parser.add_argument(

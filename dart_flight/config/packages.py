@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import platform
 import sys
 from pathlib import Path
 from typing import Final
@@ -42,6 +44,9 @@ def install_command(extra: str, checkout: Path = _CHECKOUT) -> str:
 
     `checkout` is the folder of the source code, which an installed wheel lacks.
     """
+    if extra == "plan" and platform.machine() == "aarch64" and sys.version_info >= (3, 13):
+        if importlib.util.find_spec("casadi") is not None:  # the rest of the extra is there
+            return "it has no wheel for this processor with Python 3.13 and newer; use Python 3.12 or 3.11"
     is_checkout = (checkout / "Makefile").is_file() and (checkout / "constraints.txt").is_file()
     if is_checkout and extra in IN_FULL and Path(sys.prefix).resolve() == (checkout / ".venv").resolve():
         where = "" if checkout == Path.cwd().resolve() else f" -C {checkout}"

@@ -207,7 +207,12 @@ class LineReader:
         os.eventfd_write(self.wake, 1)
 
 
+def has_mavlink() -> bool:
+    """Return whether the package that the simulated vehicle's process needs is installed."""
+    return importlib.util.find_spec("pymavlink") is not None
+
+
 def require_mavlink() -> None:
     """Raise InputError if a package for the simulated vehicle's process is missing."""
-    if importlib.util.find_spec("pymavlink") is None:
+    if not has_mavlink():
         raise missing_package("simulation needs pymavlink", "sim")

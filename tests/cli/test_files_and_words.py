@@ -151,6 +151,17 @@ def test_a_plan_without_ruckig_prints_the_complete_install_advice(
     assert "".join(install_command("plan").split()) in "".join(capsys.readouterr().out.split())
 
 
+def test_the_advice_on_the_raspberry_pi_names_the_python_that_has_ruckig(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("casadi", reason="casadi is not installed (extra `plan`)")
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    monkeypatch.setattr(sys, "version_info", (3, 13, 0))
+    assert install_command("plan").endswith("use Python 3.12 or 3.11")
+    monkeypatch.setattr(sys, "version_info", (3, 12, 0))
+    assert "Python 3.12" not in install_command("plan")
+
+
 # --- missions --------------------------------------------------------------------------------------------
 
 

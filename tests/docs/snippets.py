@@ -11,7 +11,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 MANUAL = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))
-PAGES = MANUAL + RESULTS
+PAGES = [*MANUAL, *RESULTS, ROOT / "CONTRIBUTING.md"]
 
 
 def name_of(page: Path) -> str:

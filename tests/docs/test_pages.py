@@ -28,7 +28,7 @@ from dart_flight.lab.search.scenario import load_scenario
 from tests.docs.snippets import MANUAL, PAGES, RESULTS, ROOT, Block, blocks, name_of
 
 ALL = [block for page in PAGES for block in blocks(page)]
-LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff"}
+LANGUAGES = {"", "sh", "yaml", "json", "ini", "mermaid", "python", "diff", "math"}
 
 
 def blocks_in(language: str) -> list[Block]:

@@ -20,6 +20,7 @@ from dart_flight.cli import main
 from dart_flight.config.mission_file import CollisionSpec, GoalSpec, MissionFile, WallSpec
 from dart_flight.lab import api
 from dart_flight.recording.schema import RECORD_TYPES
+from tests.extras import needs_ruckig
 from tests.lab.search.test_quickest import scenario_between_walls
 from tests.shared_flights import SharedFlights
 
@@ -520,6 +521,7 @@ def test_arrays_of_velocities_give_arrays() -> None:
     assert grid.tangential_out_m_s.shape == (7, 2)
 
 
+@needs_ruckig
 def test_the_quickest_plan_of_a_scenario_is_a_mission() -> None:
     found = dart_flight.plan(scenario_between_walls())
     assert [plan.sequence for plan in found.plans] == [("east",), ()]

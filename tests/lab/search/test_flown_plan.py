@@ -26,8 +26,11 @@ from dart_flight.planning.predicted_flight import predict_mission
 from dart_flight.recording.verdict import Verdict
 from dart_flight.run.many_flights import RunsInterruptedError
 from dart_flight.run.prepare import with_driver
+from tests.extras import needs_ruckig
 from tests.lab.search.test_quickest import one_turn, scenario_between_walls
 from tests.mission_findings import check_mission
+
+pytestmark = needs_ruckig
 
 SCENARIO = """\
 version: 1

@@ -21,6 +21,9 @@ from dart_flight.lab.search.plan import MotionLimits
 from dart_flight.lab.search.routes import Obstacles, least_length_m
 from dart_flight.lab.search.scenario import Scenario, load_scenario
 from dart_flight.lab.search.search import search
+from tests.extras import needs_ruckig
+
+pytestmark = needs_ruckig
 
 SCENARIO = packaged("missions", "scenarios", "dual_collision.yaml")
 LIMITS = st.builds(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import ruckig
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,8 +23,11 @@ from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
 from dart_flight.lab.search.quickest import plan_quickest
 from dart_flight.lab.search.scenario import load_scenario
 from tests.arrival import arrival_of
+from tests.extras import needs_ruckig, ruckig
 from tests.shared_flights import SharedFlights
 from tests.shared_plans import limited_sight_plan
+
+pytestmark = needs_ruckig
 
 SHIPPED = packaged("missions", "scenarios", "limited_sight.yaml")
 WALL_M, SEEN_M, REACTION_S = 4.5, 1.0, 0.15

@@ -12,7 +12,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,6 +36,9 @@ from dart_flight.lab.search.plan import MotionLimits, Plan, SearchResult
 from dart_flight.lab.search.plan_table import describe_quickest
 from dart_flight.lab.search.quickest import LeastTimes, LegEnd, plan_quickest
 from dart_flight.lab.search.scenario import Scenario, load_scenario
+from tests.extras import needs_ruckig, ruckig
+
+pytestmark = needs_ruckig
 
 MAPS = Path(__file__).parents[2] / "data" / "scenarios"
 LIMITS = {"speed_m_s": 3.0, "acceleration_m_s2": 5.0, "jerk_m_s3": 8.0, "peak_force_n": 150.0}

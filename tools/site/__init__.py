@@ -1,0 +1,1 @@
+"""The manual as static pages: `make site` (docs/architecture.md)."""
