@@ -119,9 +119,9 @@ def _figure(one: ModeStatus, mission: Mission, hits: list[SeriesHit]) -> Any:
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
         for held, name, marker in ((False, "used", "o"), (True, "held out", "s")):
             shown = [
-                (speed, measured[column], measured[column] - predicted[column])
+                (speed, value, value - predicted[column])
                 for held_out, speed, predicted, measured in rows
-                if held_out is held and measured[column] is not None
+                if held_out is held and (value := measured[column]) is not None
             ]
             speeds, values, off = np.array(shown, dtype=float).reshape(-1, 3).T
             fill = {"markerfacecolor": "none"} if held else {}
