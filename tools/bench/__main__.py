@@ -62,8 +62,8 @@ def measure(name: str) -> None:
     cells = [
         [
             row["name"],
-            f"{row['value']:.4g} {row['unit']}",
-            *("-" if row[key] is None else f"{row[key]:.4g}" for key in ("baseline", "ratio")),
+            f"{_shown(row['value'])} {row['unit']}",
+            *(_shown(row[key]) for key in ("baseline", "ratio")),
         ]
         for row in found
     ]
@@ -74,6 +74,12 @@ def measure(name: str) -> None:
         command = f"python -m tools.bench {name}"
         head = results.measured_line(command, commit, machine, time.monotonic() - began_s)
         results.write_block(page, f"bench {name}", f"{head}\n\n{table}")
+
+
+def _shown(value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
 
 
 def main() -> int:
@@ -97,7 +103,7 @@ def main() -> int:
     for column in ("name", "value", "unit", "baseline", "ratio"):
         table.add_column(column, justify="left" if column in ("name", "unit") else "right")
     for row in found:
-        figures = ["-" if row[k] is None else f"{row[k]:.4g}" for k in ("value", "baseline", "ratio")]
+        figures = [_shown(row[k]) for k in ("value", "baseline", "ratio")]
         table.add_row(row["name"], figures[0], row["unit"], figures[1], figures[2])
     Console().print(table)
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
