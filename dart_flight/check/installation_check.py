@@ -111,11 +111,11 @@ def check_packages(computer: Computer) -> Iterator[CheckFinding]:
         versions = {name: _version_of(name) for name in names}
         missing = [name for name, version in versions.items() if version is None]
         message = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+        needed = extra == "packages"
         if missing:
             message = f"missing: {', '.join(missing)}"
-            if not computer.private:
+            if not needed and not computer.private:
                 message += f"; {install_command(extra)}"
-        needed = extra == "packages"
         yield CheckFinding(extra, not (missing and needed), message, remark=bool(missing) and not needed)
 
 
@@ -134,7 +134,8 @@ def check_px4(computer: Computer) -> Iterator[CheckFinding]:
         message = computer.redacted(error.one_line())
         if error.hints:
             message = "no PX4 found; `dart-flight dry-run MISSION --px4` lists three ways to get one"
-        yield CheckFinding("px4", not computer.environ.get(ENVIRONMENT), message, remark=True)
+        named = bool(computer.environ.get(ENVIRONMENT))
+        yield CheckFinding("px4", not named, message, remark=not named)
         return
     where = computer.shown(install.folder)
     try:
@@ -156,7 +157,7 @@ def check_ports(computer: Computer) -> Iterator[CheckFinding]:
     """Check that this account can open the serial ports; their names in `by-id` have serial numbers."""
     ports = sorted(port for pattern in _PORTS for port in (computer.root / "dev").glob(pattern))
     closed = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
-    message = f"{', '.join(port.name for port in ports) or 'none'}"
+    message = ", ".join(port.name for port in ports) or "none"
     if closed:
         groups = {_group_of(port) for port in closed}
         message += (

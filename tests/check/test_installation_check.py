@@ -60,8 +60,10 @@ def test_a_px4_that_cannot_fly_fails_the_check(
 
 
 def test_only_a_named_px4_must_exist(tmp_path: Path) -> None:
-    assert finding_of(check_px4(Computer(tmp_path, {})), "px4").go
-    assert not finding_of(check_px4(Computer(tmp_path, {ENVIRONMENT: str(tmp_path)})), "px4").go
+    absent = finding_of(check_px4(Computer(tmp_path, {})), "px4")
+    assert (absent.go, absent.remark) == (True, True)
+    wrong = finding_of(check_px4(Computer(tmp_path, {ENVIRONMENT: str(tmp_path)})), "px4")
+    assert (wrong.go, wrong.remark) == (False, False)
 
 
 def test_a_missing_package_is_a_remark_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,7 +73,8 @@ def test_a_missing_package_is_a_remark_with_its_remedy(monkeypatch: pytest.Monke
     assert (found.go, found.remark) == (True, True)
     assert found.message.startswith("missing: scipy; ")
     versions["mavsdk"] = None
-    assert not finding_of(check_packages(Computer()), "packages").go
+    found = finding_of(check_packages(Computer()), "packages")
+    assert (found.go, found.remark, found.message) == (False, False, "missing: mavsdk")
 
 
 def test_a_port_that_cannot_be_opened_is_a_remark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
