@@ -244,3 +244,14 @@ def test_nothing_starts_without_the_simulation_package(
     errors = capsys.readouterr().err.splitlines()
     assert errors[-1] == f"simulation needs pymavlink: {install_command('sim')}"
     assert list(folder.iterdir()) == [], "no log folder is left behind"
+
+
+def test_a_bare_dry_run_flies_without_the_simulation_package(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    assert main(["dry-run"]) == 0
+    errors = " ".join(capsys.readouterr().err.split())
+    assert "flying the packaged dual collision" in errors
+    assert "flown with --fast, because pymavlink is not installed" in errors
+    assert main(["dry-run", "--speed", "2"]) == 2
