@@ -1,8 +1,8 @@
 """`make test` and `make test-rest`; each test runs in one of these two commands.
 
-    python -m tools.run_tests          lint, types, and the tests without a mark of `REST`
-    python -m tools.run_tests --rest   tests in real time, the other marked ones, and PX4
-    python -m tools.run_tests --list   print the pytest commands of both
+    python -m tools.run_tests          lint, types, and the tests that are not marked realtime, px4 or rest
+    python -m tools.run_tests --rest   the tests that are marked realtime, px4 or rest
+    python -m tools.run_tests --list   print the pytest commands of `make test` and `make test-rest`
 
 Real-time tests run first and alone. If such a test exceeds a time limit while the computer is busy, it counts
 as skipped. All other tests run in simulated time and pass at any load. Types are checked in parallel. Ctrl-C

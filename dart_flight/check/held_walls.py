@@ -1,7 +1,7 @@
 """Measurement of a wall: a person holds the vehicle against the wall's left end, then its right end.
 
 While both guards of a side touch the wall, the vehicle's centre is as far from the wall as at the first touch
-in flight. Left and right are those of a person who faces the wall.
+in flight. Left and right are as seen by a person facing the wall.
 """
 
 from __future__ import annotations

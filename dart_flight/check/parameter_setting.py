@@ -114,7 +114,7 @@ class RestoredFile(msgspec.Struct, frozen=True):
 
 
 def load_restored(path: Path, everything: bool = False) -> RestoredFile:
-    """Read a file to restore; without `everything`, omit the values that belong to one flight controller.
+    """Read a file to restore; `everything` includes the values that belong to one flight controller.
 
     Raises:
         InputError: the file is wrong, or nothing remains.

@@ -15,7 +15,7 @@ class FileKind(Enum):
 
     MISSION = "a mission, which is an input of fly, dry-run, simulate and check"
     SCENARIO = "a scenario: `dart-flight plan` makes a mission from it"
-    CONFIGURATION = "a vehicle configuration, which is the argument of --config"
+    CONFIGURATION = "a vehicle configuration: pass it with --config"
     FLIGHT_LOG = "a flight log, which is an input of replay, report, export, identify and calibrate"
     ULOG = "a PX4 ULog, which is an input of inspect, identify and calibrate"
     ENCRYPTED = "an encrypted PX4 log: decrypt it first, PX4's Tools folder has the script"

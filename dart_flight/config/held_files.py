@@ -1,7 +1,7 @@
 """Files that mark which process holds a resource, such as a link or a servo.
 
-The file of a servo or a PX4 instance is in a folder that all accounts of the computer share. A link's file is
-in the state folder. If a file cannot be created, read, written or locked, the functions raise `InputError`.
+Files for servos and PX4 instances are in a folder that all accounts of the computer share. Files for links
+are in the state folder. Functions raise `InputError` if a file cannot be created, read, written or locked.
 """
 
 from __future__ import annotations

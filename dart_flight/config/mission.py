@@ -283,7 +283,7 @@ class Mission(MissionKeys, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     def _keys_as_written(self, vehicle: VehicleConfig) -> dict[str, Any]:
         """Return the keys of the file, with the values that code has changed since (`standoff_m`)."""
         if self.written is None:
-            raise InputError("does not contain the keys of its mission", source=self.source)
+            raise InputError("this log lacks the mission's keys: load the mission file", source=self.source)
         same = parse_mission(Document.from_tree(self.written.tree), vehicle)
         unequal = {n for n in self.__struct_fields__ if getattr(self, n) != getattr(same, n)}
         unequal -= {"source", "vehicle", "vehicle_source"}

@@ -39,8 +39,8 @@ class FrameSpec(Section, frozen=True):
 
     Attributes:
         origin: local: PX4's local origin, displaced by north_m and east_m (motion capture, surveyed room);
-            takeoff: the vehicle takes off directly below the mission's start; north_m and east_m displace
-            this origin.
+            takeoff: the origin that places the mission's start directly above the take-off point, displaced
+            by north_m and east_m.
         anchored_by: none: PX4's position is used without correction; touch: the position drifts, and every
             contact with a wall of the mission corrects the frame along the wall's normal.
         north_m, east_m: displacement of the frame's origin, m.
@@ -131,7 +131,7 @@ class WallSpec(Section, frozen=True):
 
 
 class PostSpec(Section, frozen=True):
-    """A free-standing upright cylinder, as an obstacle or to be hit.
+    """A free-standing upright cylinder: an obstacle, or a surface that the vehicle hits.
 
     Attributes:
         centre_m: [x, y] of the axis, mission frame.

@@ -310,7 +310,7 @@ class _Batch:
         self.mass = np.broadcast_to(mass, own).reshape(-1)
         self.rows = None if rows is None else np.broadcast_to(rows, self.shape).reshape(-1)
         self.inputs = [np.broadcast_to(v, self.shape).reshape(-1) for v in inputs]
-        if rows is None and self.mass.size != 1:  # each collision has its own set
+        if rows is None and self.mass.size != 1:  # each collision has its own coefficient set
             self.table = CoefficientArrays(*(np.broadcast_to(v, self.shape).reshape(-1) for v in c))
             self.mass = np.broadcast_to(mass, self.shape).reshape(-1)
 

@@ -202,7 +202,7 @@ class Hypothesis(NamedTuple):
 
 
 class ContactFit:
-    """Fit of the contact law to a contact's readings, once for each mode.
+    """Fits of the contact law to the readings of one contact, one fit for each mode.
 
     `before` is the prior of the wall in each mode, `scatter` the relative scatter of the coefficients between
     contacts. A force that is too small for a contact raises ValueError.

@@ -180,7 +180,7 @@ class Grid(NamedTuple):
 
 
 class SeriesSolution:
-    """Solutions as power series in time, about one grid point for each candidate."""
+    """The motion of each candidate near one of its grid points, as a power series in time."""
 
     def __init__(self, flight: FreeFlight, leg: SetpointResponse, times: Array, zx: Array, zy: Array) -> None:
         ax, ay = flight.axes
@@ -210,7 +210,7 @@ class SeriesSolution:
 def first_crossing(position: Array, lead_s: float, low: float, high: float) -> Array:
     """Return the time between `low` and `high` at which x + lead_s x' falls below 0.
 
-    `position` is the power series (order + 1, n) of x about the grid point; times count from that point.
+    `position` contains the coefficients (order + 1, n) of x. All times count from the grid point.
     """
     g = position
     if lead_s:

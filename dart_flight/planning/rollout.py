@@ -479,7 +479,7 @@ class Rollout:
     # -- to the goal --
 
     def _arrive(self, front: _Released) -> list[Arrivals]:
-        """Return, for each sequence of modes, the candidates at their closest approach to the goal."""
+        """Return the candidates at their closest approach to the goal, grouped by sequence of modes."""
         index, order = self._search_goal(front)
         arrived = front.select(order)
         near = self.flight.near(arrived.leg, index)

@@ -1,4 +1,4 @@
-"""The zero of a flight's time for terminal, CSV, replay and report: the first IMU sample.
+"""Flight time: seconds since the first IMU sample, as shown by terminal, CSV, replay and report.
 
 Autopilots count time from their own start. This sample arrives early and does not depend on which records are
 shown or were written.

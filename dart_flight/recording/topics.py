@@ -23,9 +23,9 @@ class Topic:
     """The records of one channel: one array per field, with one entry per record.
 
     A number has shape (n,); a vector or a list of constant length, such as the motors, has shape (n, k). A
-    missing value is NaN, so integers and booleans that may be missing are floats. A string field is
-    an array of strings. If a string may be None, or a field is a list of varying length, the array's elements
-    are Python objects. The names of the fields state units and frames (docs/log.md).
+    missing value is NaN, so integers and booleans that may be missing are floats. The array of
+    a string field contains strings. If a string may be None, or a field is a list of varying length, the
+    array's elements are Python objects. The names of the fields state units and frames (docs/log.md).
 
     Attributes:
         kind: the type of the records.

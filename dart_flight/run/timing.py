@@ -2,9 +2,8 @@
 
 In lockstep (`sim.lockstep`) the world waits for the application. The application counts its unfinished tasks:
 queued inputs, lock orders, requests to the autopilot, plans. Whenever no task is left, the application sends
-a report to the world. The world may then advance. Near a wall the world advances by one tick. Away from walls
-the world advances by 20 ms, and the core then processes the samples of these 20 ms as one batch
-(`core.pace`).
+a report to the world. The world then advances: near a wall by one tick, elsewhere by 20 ms. The core
+processes the samples of 20 ms as one batch (`core.pace`).
 """
 
 from __future__ import annotations

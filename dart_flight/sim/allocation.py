@@ -19,7 +19,7 @@ class Allocation:
         """Return each motor's fraction of full thrust, from normalised torques (FRD) and collective thrust.
 
         If a motor saturates, the lift is reduced or raised so that the torques are achieved. If no lift
-        achieves the torques, fractions below 0 or above 1 remain.
+        achieves the torques, some of the returned fractions are below 0 or above 1.
         """
         largest = self._largest
         wanted = [up * u + largest * (r * roll + p * pitch) + y * yaw for r, p, y, u in self._rows]

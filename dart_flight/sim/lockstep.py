@@ -32,7 +32,7 @@ from dart_flight.sim.pipe import Stepped
 _SILENT_S: Final = 10.0  # after this host time without an answer, the flight ends
 _LOST_S: Final = 1.0  # after this host time, an unanswered message counts as lost and is logged
 _POLL_S: Final = 0.05  # host time between two polls if no descriptor wakes the world
-_STEP_MAX_S: Final = 0.2  # count at most this host time between two polls; a suspended process takes longer
+_STEP_MAX_S: Final = 0.2  # host time counted at most for one poll, because the process may be suspended
 _SENDER_S: Final = 0.2  # wait at most this host time for the autopilot's sender to catch up
 _SENDER: Final = "the autopilot to send its telemetry"
 _TELEMETRY: Final = "the application to process its telemetry"

@@ -48,8 +48,7 @@ class Unusable(NamedTuple):
 # a usable message.
 Receive = Callable[[int], int]
 
-# --- values of messages that are not records by themselves
-# ----------------------------------------------------
+# --- contents of messages that become parts of records ------------------------------------------------------
 
 
 class Heartbeat(NamedTuple):

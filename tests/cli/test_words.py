@@ -67,7 +67,7 @@ def test_a_misspelt_word_is_answered_with_a_suggestion(
     ("words", "kind"),
     [
         (["check", SCENARIO], "this is a scenario: `dart-flight plan`"),
-        (["dry-run", CONFIG], "this is a vehicle configuration, which is the argument of --config"),
+        (["dry-run", CONFIG], "this is a vehicle configuration: pass it with --config"),
         (["dry-run", FLIGHT], "this is a flight log, which is an input of replay"),
         (["plan", MISSION], "this is a mission, which is an input of fly"),
         (["check", MISSION, "--config", MISSION], "this is a mission"),

@@ -31,7 +31,7 @@ from dart_flight.sim.mavlink_endpoint import MavlinkEndpoint
 MISSION = Path(__file__).parents[2] / "missions" / "paper_single_wall.yaml"
 POSITION_NED = (1.6, 0.0, -1.0)  # just in front of the mission's acrylic wall
 SPEED_M_S = 1.0
-_SETTLE_S = 6.0  # time for connection, rates and start of the app
+_SETTLE_S = 6.0  # time for connecting, setting message rates and starting the app
 
 
 def free_udp_port() -> int:

@@ -26,7 +26,7 @@ _FULL = "hits with track and height"
 
 
 class Identified(msgspec.Struct, frozen=True):
-    """Coefficients of one set: name -> estimate, its 95 % interval and the truth."""
+    """Coefficients of one set by name: estimate, both ends of its 95 % interval, and true value."""
 
     coefficients: dict[str, tuple[float, float, float, float]]
 

@@ -1,9 +1,9 @@
 """Campaign: mutants of the core by cosmic-ray, drawn by a seed, and the tests that detect them.
 
 Within a file, every kind of change is drawn with the same probability. The mutant is written into a copy of
-the tree, where the tests of `make test` run until the first failure, and then those of `make test-rest`. If
-no test fails, the mutant has survived. The author then adds a test for it, or docs/results/mutants.md
-explains why no test is needed. Tests with sockets, real time or PX4 do not run.
+the tree. There, the tests of `make test` and then those of `make test-rest` run until a test fails. If no
+test fails, the mutant has survived. The author then adds a test for it, or docs/results/mutants.md explains
+why no test is needed. Tests with sockets, real time or PX4 do not run.
 """
 
 from __future__ import annotations

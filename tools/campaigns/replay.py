@@ -51,7 +51,7 @@ def fly(point: Point, seed: int) -> Replayed:
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the sums over every world."""
+    """Return a table with the sums over the flights of each world."""
     names = ("inputs", "outputs", "decisions", "differences", "missing")
     return markdown(
         ("world", "flights", *names),

@@ -121,7 +121,7 @@ def duration(seconds: float) -> str:
 
 
 def measurements() -> Iterator[Measurement]:
-    """Yield every measurement that a page names. A page that names none yields one without a command."""
+    """Yield the measurements named on each page. For a page without any, yield one without a command."""
     for path in sorted(PAGES.glob("*.md")):
         found = list(_MEASURED.finditer(path.read_text("utf-8")))
         for match in found:

@@ -264,7 +264,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
 
 
 def _gain(found: Sequence[BothFlown]) -> tuple[float, float] | None:
-    """Return the share of the free time that the hit saves, planned and flown."""
+    """Return the share of the duration of the collision-free flight that the hit saves, planned and flown."""
     free = [f.free_s for f in found if f.free_s is not None]
     hit = [f.hit_s for f in found if f.hit_s is not None]
     planned_free_s, planned_hit_s = found[0].planned_free_s, found[0].planned_hit_s

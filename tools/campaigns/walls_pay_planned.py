@@ -16,10 +16,11 @@ from tools.campaigns.walls_pay import flown_cases, plan_map
 
 
 class PlannedMap(msgspec.Struct, frozen=True):
-    """The share of the free time that hits save, and the effort of the search; None without a plan.
+    """The time that hits save on one map, and the effort of the search.
 
     Attributes:
-        cruise_ratio: approach speed of the colliding plan over that of the free plan, with limited sight.
+        gain: saved share of the duration of the collision-free flight; None if a plan is missing.
+        cruise_ratio: approach speed of the colliding plan over that of the collision-free plan, or None.
     """
 
     gain: float | None

@@ -55,7 +55,7 @@ def write() -> None:
 
 
 def _lines(text: str) -> dict[Key, _Line]:
-    """Return every key that begins a line, with a comment that may continue on the following lines."""
+    """Return every key that begins a line, with its comment, including continuation lines."""
     rows = text.splitlines()
     found: dict[Key, _Line] = {}
     for key, number in Document(text, CONFIGURATION.name).lines.items():

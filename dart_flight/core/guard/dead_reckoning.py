@@ -61,8 +61,9 @@ class DeadReckoning:
     def is_finished(self, odometry: OdometrySample, error_rad: float, step_m: float) -> bool:
         """Return whether the guard can use PX4's estimate again.
 
-        After a large error PX4's heading recovers first. Then PX4's motion approaches the integral, or PX4
-        resets its position to motion capture. `step_m` is the step of PX4's position in this sample.
+        After a large error PX4's heading recovers first. Then PX4's position and velocity approach the
+        integrated ones, or PX4 resets its position to motion capture. `step_m` is the step of PX4's position
+        in this sample.
         """
         since_s = (self._t_us - self._since_us) * 1e-6
         if abs(error_rad) > WRONG_RAD:

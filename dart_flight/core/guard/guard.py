@@ -310,7 +310,7 @@ class Guard:
         return frame.point_from_ned(reckoned.position_ned), frame.vector_from_ned(reckoned.velocity_ned)
 
     def _has_stopped_elsewhere(self, state: FlightState, hold: Vec3) -> bool:
-        """Return whether a vehicle that broke off rests far from `hold`, for example because of its tilt.
+        """Return whether the vehicle, after a break-off, rests far from `hold`, for example after a tilt.
 
         The guard then holds position where the vehicle rests. On the way back to `hold`, PX4's integrator
         would push the vehicle past `hold`, towards the wall.

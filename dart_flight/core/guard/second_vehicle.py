@@ -2,7 +2,7 @@
 
 In MAVLink the two vehicles are one system, so their samples alternate between two clocks or two positions. A
 single vehicle does not alternate. After a clock reset, restart or jump of its estimate, the old clock or
-position does not return. The detectors process every sample in the order of receipt.
+position does not return. The detectors need every sample, in the order of receipt.
 """
 
 from __future__ import annotations

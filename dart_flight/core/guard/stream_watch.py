@@ -40,7 +40,7 @@ _SHARE_US: Final = 1_000_000
 _FORGOTTEN: Final = 0.01  # below this fraction, earlier late samples are forgotten
 _STEP_MAX_US: Final = 20_000  # limit of the time that one sample represents
 _DRIFT: Final = 2e-4  # largest drift of two clocks, seconds per second
-_LAST: Final = 3  # round trips kept; without a clock offset, the shortest bounds the delay
+_LAST: Final = 3  # number of kept round trips; if the clock offset is unknown, the shortest bounds the delay
 _AGE_MAX_S: Final = 999.0  # reported age, s, of a stream without a sample
 
 

@@ -3,9 +3,9 @@
 An oblique wall rotates the vehicle. The motors correct the yaw slowly, because only their drag torque acts
 about the vertical axis. If the heading command is a large step, PX4 overshoots, because its integrator winds
 up while the torque is at its limit. The next contact is then oblique again. The commanded heading is
-therefore limited in two ways. First, the command leads the actual heading only so far that PX4 requests no
-more than the available torque. Second, the resulting rotation is always slow enough that the same torque can
-stop it in time.
+therefore limited in two ways. First, the command stays so close to the actual heading that PX4 requests no
+more than the available torque. Second, the vehicle rotates so slowly that this torque can stop the rotation
+in time.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class HeadingControl:
         self._per_s, self._p, self._i = px4.mc_yaw_p, px4.mc_yawrate_p, px4.mc_yawrate_i
 
     def lead(self, heading: Heading, yaw: float, rate: float, now_us: int) -> Heading:
-        """Return the heading with an updated command, which compensates for PX4's integrator.
+        """Return the heading with a new command, corrected for the state of PX4's integrator.
 
         `yaw` and `rate` are the current values in the mission frame, rad and rad/s.
         """

@@ -19,7 +19,7 @@ from dart_flight.core.mission.trajectories import AfterEnd, Trajectory
 from dart_flight.core.sense.state import FlightState
 
 _COASTING_S: Final = 0.25  # for this time before an impact, errors across the wall are not corrected
-_COASTS_US: Final = 500_000  # longest coasting after a contact; allows for the answer to a second request
+_COASTS_US: Final = 500_000  # longest coasting after a contact, enough for two requests to the planner
 _SQUARE_RAD: Final = 0.09  # heading error at which an impact at 3 m/s hardly rotates the vehicle
 _SILENT: Final = frozenset({Phase.READYING, Phase.LANDING, Phase.DONE, Phase.OVERRULED})
 _TURNED: Final = frozenset({Phase.CONTACT, Phase.RECOVERY, Phase.GOAL})

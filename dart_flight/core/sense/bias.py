@@ -58,7 +58,7 @@ class HoverBias:
         Args:
             f: reported specific force, FRD, m/s2.
             rate: body rate, rad/s.
-            curve_thrust_n: mean thrust over the tick by the thrust model, without `scale`.
+            curve_thrust_n: mean thrust during the tick, computed by the thrust model without `scale`.
         """
         self._learn_noise(f, dt_s)
         share = average_weight(dt_s, LEARNING_S)
@@ -106,7 +106,7 @@ class ForceBaseline:
         self.value: Vec2 = (0.0, 0.0)
 
     def update(self, fx: float, fy: float, dt_s: float) -> None:
-        """Update with a sample outside of contacts."""
+        """Update the baseline with a force sample from outside of contacts, newton."""
         share = average_weight(dt_s, BASELINE_S)
         x, y = self._now
         x += share * _bounded(fx - x, _BASELINE_STEP_N)

@@ -2,10 +2,11 @@
 
 A wall pushes on the guards of one side, at `contact_distance_m` from the centre of mass and at some height
 above it. The force times this height pitches the vehicle back, and the lever grows with the pitch. If battery
-and payload move the centre of mass by 2 cm, the vehicle can turn over at 3 m/s (docs/results/faster_hits.md).
+or payload shift the centre of mass by 2 cm, a hit at 3 m/s can turn the vehicle over
+(docs/results/faster_hits.md).
 The core estimates the height from a gentle contact. At later contacts the planner tilts the vehicle
-accordingly (`planning.replanner`). The planner needs the height when the contact ends, before the contact is
-fitted. The core therefore computes the height in closed form.
+accordingly (`planning.replanner`). The planner needs the height at the end of the contact, and the fit is not
+available until later. The core therefore computes the height in closed form.
 """
 
 from __future__ import annotations

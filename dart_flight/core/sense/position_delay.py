@@ -99,7 +99,7 @@ class PositionDelay:
         past.append(now)
 
     def _restart(self) -> None:
-        """Restart the filters, and keep the sums for the covariance of e and z and the variance of z."""
+        """Restart the filters, but keep the sums of the regression."""
         self._past.clear()
         self._high_e = self._high_z = (0.0, 0.0, 0.0)
         self._z = None

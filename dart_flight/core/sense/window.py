@@ -21,7 +21,7 @@ _QUICK_S: Final = 0.5
 _SLOW_S: Final = 5.0
 _MIN_N2: Final = 1e-4
 _ASSUMED: Final = 5  # the initial noise counts as this many samples
-_DELAY: Final = 10  # a mean is learnt this many samples later, unless an onset discards it
+_DELAY: Final = 10  # learning is delayed by this many samples; an onset discards the samples in between
 
 
 class WindowMean:

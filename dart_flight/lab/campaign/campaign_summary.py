@@ -56,7 +56,7 @@ class Drawn(msgspec.Struct, frozen=True):
     """The success rate as a function of one drawn quantity.
 
     Attributes:
-        bins: bins of about equal counts, or one bin for each word.
+        bins: bins with about equally many flights; if the values are words, one bin for each word.
         z: Mann and Whitney's statistic, in standard deviations, positive if the quantity is higher in failed
             flights. If the values are words, every word has a statistic, and `z` is the statistic with the
             largest magnitude. None if all flights completed or no flight completed.

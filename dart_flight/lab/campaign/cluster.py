@@ -1,7 +1,7 @@
 """An engine that flies a campaign on several machines, through a Dask scheduler (extra `cluster`).
 
-If a worker dies, another worker repeats its flights. If a flight kills one worker after the other, the
-scheduler reports this flight. The rows equal those of a local run, because a flight depends only on its
+If a worker dies, another worker repeats its flights. If several workers die in the same flight, the scheduler
+gives up and reports this flight. The rows equal those of a local run, because a flight depends only on its
 mission and seed.
 """
 
@@ -168,7 +168,7 @@ def _result(future: Any) -> Flown | Failure:
     if future.status in ("cancelled", "lost"):
         raise OSError("lost connection to the scheduler")
     error = future.exception()
-    if error is not None:  # an error of scheduler or worker; a flight returns its own errors as a result
+    if error is not None:  # from the scheduler or a worker; a flight's own errors are returned as results
         if type(error).__name__ != "KilledWorker":
             raise _UnfitWorkerError(_one_line(error))
         return Failure(_one_line(error))

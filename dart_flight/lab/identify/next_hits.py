@@ -38,7 +38,7 @@ class ModeFit(NamedTuple):
     """The coefficients of the contact law in one mode, as known so far.
 
     Attributes:
-        nu: bound of the vertical force, N; no design chooses hits for it.
+        nu: bound of the vertical force, N; it does not influence the choice of hits.
     """
 
     k: Known
@@ -172,7 +172,7 @@ def information_of(fit: ModeFit, limits: NextHitLimits, normal_m_s: float, tange
 
 
 def expected_halves(fit: ModeFit, limits: NextHitLimits, hits: Sequence[NextHit]) -> dict[str, float]:
-    """Return the half widths of the logarithms' 95 % intervals that are expected after more hits."""
+    """Return the expected half widths of the 95 % intervals of ln k, ln f and ln mu after more hits."""
     total = np.diag((np.array([fit.k.half, fit.f.half, fit.mu.half]) / 1.96) ** -2.0)
     for hit in hits:
         total = total + information_of(fit, limits, hit.normal_m_s, hit.tangential_m_s)

@@ -51,7 +51,7 @@ class LawProblem:
     def is_enough(self) -> bool:
         """Whether the hits have enough measured quantities for a fit of k and f.
 
-        At least two quantities must be known, and half of the hits must have a force, a duration or a depth.
+        At least two values must be known, and at least half of the hits must have a force, duration or depth.
         Speeds alone do not determine the stiffness.
         """
         known = np.isfinite([self.peak, self.contact, self.depth, self.speed_out])

@@ -6,7 +6,7 @@ trial has its own onset time and approach velocity, and a clock delay if it has 
 law is the paper's closed form in time (`dart_flight.lab.predict.path`): free flight, contact, free flight.
 
 In real flights the controller accelerates the vehicle before and after a wall contact. If the recorded free
-flight is curved, every wall hit gets three unknown constant accelerations: before, in and after the contact.
+flight is curved, the fit adds constant accelerations before, during and after the contact of every wall hit.
 Otherwise straight flight is assumed, because fewer unknowns are determined more accurately.
 """
 
@@ -97,7 +97,7 @@ class FittedImpact:
 
     Attributes:
         at: index of each unknown of the hit in the parameter vector. All hits share `plane`; the hits of a
-            mode share the logarithms `k` and `f`, `mu` and `nu`. Every hit has its own remaining unknowns.
+            mode share the logarithms `k` and `f`, `mu` and `nu`. The other unknowns belong to one hit.
         window: the fitted samples, by channel.
     """
 

@@ -38,7 +38,7 @@ def _ratio(
 
 
 def restitution(problem: LawProblem) -> Estimate | None:
-    """Return outgoing over incoming normal speed; a drop has these speeds at the height of first touch."""
+    """Return the ratio of outgoing to incoming normal speed; in a drop, both at the height of first touch."""
     e = problem.speed_out / problem.speed_in
     sd = np.hypot(problem.column("sd_out_m_s"), e * problem.column("sd_in_m_s")) / problem.speed_in
     known = np.isfinite(e)

@@ -132,7 +132,7 @@ def _check_same_mission(flights: Sequence[RecordedFlight]) -> None:
         )
         if alike != first.mission:
             raise InputError(
-                f"this flight is of mission {other.verdict.mission}, but the flight {first.log.source} is of "
+                f"this flight flew the mission {other.verdict.mission}, but {first.log.source} flew "
                 f"another mission, {first.verdict.mission}{_first_difference(first, other)}: "
                 "compare flights of the same mission",
                 source=other.log.source,
@@ -147,7 +147,7 @@ def _first_difference(first: RecordedFlight, other: RecordedFlight) -> str:
     if first.verdict.mission != other.verdict.mission:
         return ""
     flown = [flight.mission for flight in (first, other)]
-    # Name keys of the file, which users know. The log of an earlier version has only the resolved parts.
+    # Compare the keys of the mission file. Logs of earlier versions contain only the resolved mission.
     trees = [mission.written.tree for mission in flown if mission.written is not None]
     if len(trees) < len(flown) or trees[0] == trees[1]:
         trees = [msgspec.to_builtins(mission) for mission in flown]

@@ -1,8 +1,8 @@
 """Simulated flights of plans in the fast world, and the choice of the plan to offer; used by `plan`.
 
-`fly_mission` flies a mission once in the nominal world, and up to twenty times in drawn worlds. A drawn world
-differs at random from the nominal world (docs/draws.md). `PlanChoice` compares the flight times with and
-without hits. The times count from take-off to landing, so they include touches of the walls before the hits.
+`fly_mission` first flies a mission once in the nominal world, then up to twenty times in drawn worlds. Drawn
+worlds differ at random from the nominal world (docs/draws.md). `PlanChoice` compares the flight times with
+and without hits. The times count from take-off to landing, so they include touches of walls before the hits.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from dart_flight.sim.draws import parse_vary
 
 DRAWN, FIRST_SEED = 20, 700_001  # `FIRST_SEED` is far from the seeds of campaigns and tests
 TOUCH_M_S = 0.6  # touch speed of the shipped missions
-LEAST_SAVING = 0.01  # fraction of the collision-free time that a plan must be predicted to save
+LEAST_SAVING = 0.01  # minimum predicted saving, relative to the duration of the collision-free flight
 _DIGITS = 3
 
 # Fly a mission with these seeds and spreads, and call back after each flight.
@@ -213,7 +213,7 @@ class _Candidate(NamedTuple):
 
 
 class PlanChoice:
-    """The choice between the plans of a search, which collects results while the plans fly.
+    """The choice between the plans of a search, by their simulated flights.
 
     With `free_only`, only the plan without a collision is offered. `messages`, `flown` and `refused` are
     those of `OfferedPlan`, for the plans flown or refused so far.
@@ -231,10 +231,10 @@ class PlanChoice:
     def run(self, fly: FlyMany = fly_on_all_cores) -> OfferedPlan:
         """Fly the plans in simulation and return the plan to offer.
 
-        A plan with hits must succeed in simulation. A successful plan with hits is offered if it saves time
-        from take-off to landing, or if the scenario demands its hits or touches. A plan that succeeds only
-        with touches before the hits is offered with these touches. A plan whose mission is refused is not
-        flown. A plan whose hits are optional and hardly save time is not flown either.
+        A plan with hits must succeed in simulation. It must also save time from take-off to landing, or the
+        scenario must demand its hits or touches. A plan that succeeds only with touches before the hits is
+        offered with these touches. A plan whose mission is refused is not flown. A plan whose hits are
+        optional and hardly save time is not flown either.
         """
         free = None if self._free is None else self._fly(self._free, fly)
         if free is not None and free.record.failure is not None:

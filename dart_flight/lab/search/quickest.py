@@ -468,7 +468,7 @@ def _shortest_path_through(start: Vec2, events: Sequence[Event], goal: Vec2) -> 
 
 
 def _between(a: Vec2, event: Event, b: Vec2) -> Vec2:
-    """Return the place of an event that makes the path from `a` through this place to `b` shortest."""
+    """Return the place of an event at which the path from `a` through the event to `b` is shortest."""
     if isinstance(event, Hit):
         wall = event.wall
         here, there = abs(wall.signed_distance(a)), abs(wall.signed_distance(b))

@@ -26,7 +26,7 @@ _AFTER_HIT_M = 0.05  # additional margin after a hit, whose outgoing velocity is
 _ON_LINE_M = 0.01  # distance of a path's corner from the edge of its half-planes
 _OFF_BOUNDS_M = 0.1  # distance of trajectories from the bounds
 _AROUND = 8  # number of corners of the polyline around a post
-TOUCH_M = 0.01  # a path to a place at a wall keeps this distance from the wall's plane
+TOUCH_M = 0.01  # distance from the wall's plane of a path to a place at this wall
 
 
 def room_of(scenario: Scenario) -> tuple[HalfPlane, ...]:
@@ -147,8 +147,8 @@ def _within_bounds(places: Sequence[Vec2], bounds: BoundsSpec) -> list[Vec2]:
 def _cuts(disc: Disc, a: Vec2, b: Vec2) -> bool:
     """Return whether a straight path enters a disc.
 
-    If an end of the path is inside the disc, the path counts as entering if its middle is nearer to the
-    centre than both ends.
+    A path that begins or ends in the disc enters it if some point between is nearer to the centre than both
+    ends.
     """
     nearest_m = distance_to_segment(disc.centre, a, b)
     return nearest_m < min(disc.radius_m, distance2(a, disc.centre), distance2(b, disc.centre))

@@ -72,7 +72,7 @@ def apply_status(status: SeriesStatus, evidence: Evidence, config: Path, series:
     path = history_path(config)
     old = read_text(path) if path.exists() else "{}\n"
     history = msgspec.to_builtins(HistoryFile(1, (*read_history(config), *entries)))
-    # The history comes first: an entry without its change is harmless, a change without its date is not.
+    # Write the history first. An entry without its change is harmless, but a change must have a date.
     with report_write_errors(path):
         replace_file(path, update_text(old, history, str(path)).encode("utf-8"))
     with report_write_errors(config):

@@ -70,7 +70,7 @@ class FlyTab:
         file, engine = page.open_file(), page.engine
         assert engine is not None
         if file.kind is not StudioKind.MISSION:
-            raise InputError("a scenario cannot be flown: plan it, and make the mission")
+            raise InputError("a scenario cannot be flown: plan it, make the mission, and fly the mission")
         typed = tuple(str(self._typed.value).replace(",", " ").split())
         vary = {_NOTHING: (), _ALL: ("all",)}.get(self._vary.value, typed)
         flights, fault = int(self._flights.value), str(self._fault.value).strip() or None

@@ -216,7 +216,7 @@ def _aspect(client: viser.ClientHandle) -> float:
 def _height_of_view(scene: Scene, aspect: float) -> tuple[float, float]:
     """Return the height of the view that shows the whole room, m, and the share of it that is free.
 
-    On a phone (upright), the panel covers the lower part of the view.
+    If the screen is upright, as on a phone, the panel covers the lower part of the view.
     """
     (x0, y0), (x1, y1) = scene.extent()
     share = _FREE_SHARE if aspect < _UPRIGHT else 1.0

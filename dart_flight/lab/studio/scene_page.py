@@ -34,7 +34,7 @@ def mission_scene(mission: Mission) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def flight_scene(log: Log) -> Iterator[Any]:
-    """Yield viser's serializer of the playback of a flight, in real time.
+    """Yield the viser serializer that contains the playback of a flight at its real speed.
 
     Raises:
         InputError: the log contains no mission or no motion in the air.

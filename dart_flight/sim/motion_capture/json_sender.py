@@ -1,4 +1,4 @@
-"""An emulated system that sends each pose as a JSON object, as `vehicle.motion_capture.json_udp` reads it."""
+"""An emulated system that sends poses as JSON objects, in the format of `vehicle.motion_capture.json_udp`."""
 
 from __future__ import annotations
 

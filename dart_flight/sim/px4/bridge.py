@@ -280,8 +280,8 @@ def servo_channel(vehicle: VehicleConfig) -> int:
 def accelerometer_output(specific_force_m_s2: float, full_scale_m_s2: float) -> float:
     """Return one axis of HIL_SENSOR, saturated at full scale.
 
-    With a full scale of 16 g, a saturated axis is at the limit of PX4's simulated driver, so the driver
-    reports clipping. With a smaller full scale the driver does not detect the saturation.
+    PX4's simulated driver reports clipping at 16 g. If the full scale is 16 g, the driver reports clipping of
+    a saturated axis. If the full scale is smaller, the driver does not report clipping.
     """
     limit = ACCELEROMETER_LIMIT_M_S2
     if abs(specific_force_m_s2) >= full_scale_m_s2:

@@ -97,7 +97,7 @@ def _install_at(named: str | Path, prefix: str) -> Install:
                 return install
             problem = problem or f"{found} ({folder})"
     if not problem and os.path.isfile(path):
-        problem = "this file is not PX4's program, which is bin/px4 of an installation or a build"
+        problem = "this file is not PX4's program: name bin/px4 of an installation or a build"
     raise InputError(
         problem or "no PX4 SITL in this folder: neither bin/px4 nor build/px4_sitl_*/bin/px4",
         source=f"{prefix}{path}",

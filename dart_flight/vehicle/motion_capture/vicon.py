@@ -4,8 +4,8 @@ The layout is from public readers of the stream, not from Tracker's user guide. 
 little-endian block: frame number (u32), number of items (u8), and the items. Each item has an id (u8, 0 for
 an object), the size of its data (u16) and the data. An object's data are its name (24 bytes, padded with
 zeros), translation (3 doubles, millimetres) and Euler angles XYZ (3 doubles, radians). A frame with many
-objects takes several datagrams, so an object that one datagram lacks may be tracked. If all values of an
-object are zero, the object is not tracked.
+objects takes several datagrams. An object that is missing in one of them may therefore be tracked. If all
+values of an object are zero, the object is not tracked.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def _flown_line(mission: Mission) -> str:
 def _extent(mission: Mission, planned: PredictedFlight | None) -> Array:
     """Return the points that the plan view must include: the flight, but no setpoint outside of the bounds.
 
-    The bounds are included if the flight does not become small in the view.
+    The bounds are included if they are small or not much larger than the flight.
     """
     b = mission.bounds
     corners = np.array([[b.x[0], b.y[0]], [b.x[1], b.y[1]]])
