@@ -36,7 +36,7 @@ def test_every_results_page_has_measured_blocks(page: Path) -> None:
 
 def test_every_campaign_has_a_block() -> None:
     written = {name for page in RESULTS for name, _ in _BLOCK.findall(page.read_text(encoding="utf-8"))}
-    assert CAMPAIGNS - {"series"} <= written  # docs/series.md has the figures of the trial series
+    assert written >= CAMPAIGNS
 
 
 @pytest.mark.parametrize("page", RESULTS, ids=name_of)

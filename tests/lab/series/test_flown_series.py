@@ -10,7 +10,12 @@ import pytest
 from dart_flight.base.records import GuardEvent, Override
 from dart_flight.cli import main
 from dart_flight.config.vehicle import load_vehicle
+from dart_flight.contact.coefficients import CoefficientArrays
+from dart_flight.contact.contact_map import contact_map
+from dart_flight.contact.law import Onset
+from dart_flight.lab.series.evidence import read_evidence
 from dart_flight.lab.series.series_file import SeriesFolder
+from dart_flight.lab.series.status import predict_hit
 from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.reader import read_log
 from dart_flight.run.replay import replay
@@ -29,10 +34,35 @@ def new_series(*options: str) -> SeriesFolder:
     return SeriesFolder(Path("afternoon"))
 
 
+def check_the_fastest_hit_is_predicted_with_its_thrust(series: SeriesFolder) -> None:
+    """With the true coefficients, the law alone ignores the thrust, which slows the rebound."""
+    hits = read_evidence(series).hits
+    hit = max(hits, key=lambda one: -(one.verdict.measured.normal_m_s or 0.0))
+    vehicle, true = load_vehicle(), hit.verdict.truth
+    coefficients = vehicle.materials["acrylic"].coefficients(hit.mode).scaled(1.2, 1.0, 1.0)
+    predicted = predict_hit(hit, coefficients, series.mission())
+    assert true is not None
+    assert true.normal_m_s is not None
+    assert true.normal_out_m_s is not None
+    assert predicted is not None
+    assert predicted[0] == pytest.approx(true.peak_force_n, rel=0.03)
+    alone = contact_map(
+        CoefficientArrays.from_table(coefficients),
+        vehicle.airframe.mass_kg,
+        true.normal_m_s,
+        0.0,
+        Onset(vehicle.onset),
+    )
+    missed = float(alone.normal_out_m_s) - true.normal_out_m_s
+    assert missed > 0.02
+    assert abs(predicted[1] - true.normal_out_m_s) < 0.6 * missed
+
+
 def test_a_series_in_simulation_finds_a_stiffer_wall(capfd: pytest.CaptureFixture[str]) -> None:
     """The wall's k is 1.2 times the configured k; one hit is excluded, and its flight's log is cut off."""
     series = new_series("--hits-per-flight", "6")
     assert main(["series", "fly", "afternoon", "--fast", "--fault", "wall-harder=1.2"]) == 0
+    check_the_fastest_hit_is_predicted_with_its_thrust(series)
     (log,) = series.logs().values()
     data = log.read_bytes()
     log.write_bytes(data[: len(data) * 3 // 4])
