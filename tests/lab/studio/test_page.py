@@ -220,9 +220,8 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
         at.tab("Fly")
         at.button("Fly").click()
         at.wait_for(re.compile("completed"))
-        until(lambda: at.studio.player.is_playing)
-        at.button("Pause").click()
-        at.button("Next hit").click()
+        until(lambda: at.studio.player.flight is not None)
+        at.button("Next hit").click()  # pauses
         at.wait_for(re.compile("normal force"))
         hit = at.studio.player.flight.hits[0]  # type: ignore[union-attr]
         until(lambda: abs(at.studio.player.at_s - (hit.at_s - 0.3)) < 0.05)
@@ -237,7 +236,7 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
     for logs in ([log], [log, room / "again/flight.mcap"]):  # the same flight, from its file, and twice
         with shown(browser, logs, room / "flights") as at:
             at.wait_for(re.compile("completed"))
-            until(lambda at=at: at.studio.player.is_playing)
+            until(lambda at=at: at.studio.player.flight is not None)
             if len(logs) > 1:
                 at.wait_for(re.compile("100 %"))
 
@@ -252,7 +251,7 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
         at.wait_for(re.compile("4 of 4 flights completed|[0-3] of 4 flights completed:"))
         assert len(at.studio.flights.landed) == 4
         at.button("Open this flight").click()
-        until(lambda: at.studio.player.is_playing)
+        until(lambda: at.studio.player.flight is not None)
         at.number("flights").fill("1000")
         at.button("Fly").click()
         at.wait_for(re.compile("of 1000 flights"))
