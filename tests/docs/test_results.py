@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.snippets import RESULTS, ROOT, name_of
+from tests.docs.test_extending import copy_project, python
 
 KEPT = ("real_data", "raspberry_pi", "hitl")
 CAMPAIGNS = {path.stem for path in (ROOT / "tools" / "campaigns").glob("*.yaml")}
@@ -52,6 +53,36 @@ def test_the_list_names_a_measurement_of_every_page() -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stdout
     assert {line.split()[0] for line in done.stdout.splitlines()[1:]} == {page.stem for page in RESULTS}
+
+
+@pytest.mark.rest
+@pytest.mark.usefixtures("every_package")
+def test_a_campaign_writes_its_block_and_names_the_commit(tmp_path: Path) -> None:
+    copy_project(tmp_path)
+
+    def git(*arguments: str) -> str:
+        words = ["git", "-c", "user.name=test", "-c", "user.email=test@localhost", *arguments]
+        return subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
+
+    git("init", "-q")
+    git("add", "-A")
+    git("commit", "-qm", "All files")
+    page = tmp_path / "docs" / "results" / "identification.md"
+    before = page.read_text(encoding="utf-8")
+    measure = ("-m", "tools.campaigns", "identification", "--runs", "1", "--jobs", "1")
+    assert python(tmp_path, *measure, "--out", str(tmp_path / "out"))[0] == 0
+    assert page.read_text(encoding="utf-8") == before
+    assert python(tmp_path, *measure)[0] == 0
+    ((name, measured),) = _BLOCK.findall(page.read_text(encoding="utf-8"))
+    assert name == "identification"
+    assert f"at commit {git('rev-parse', '--short=8', 'HEAD')}: 8 runs" in measured
+    assert "`python -m tools.campaigns identification --runs 1`" in measured
+    assert _BLOCK.sub("", page.read_text(encoding="utf-8")) == _BLOCK.sub("", before)
+    with open(tmp_path / "tools" / "__init__.py", "a", encoding="utf-8") as file:
+        file.write("# changed\n")
+    status, output = python(tmp_path, *measure, "--resume")
+    assert status == 2
+    assert "commit first; changed: tools/__init__.py" in output
 
 
 def figures_without_a_page(readme: str) -> list[str]:
