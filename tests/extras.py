@@ -7,4 +7,6 @@ try:
 except ModuleNotFoundError:  # the extra `plan` leaves it out on aarch64 with Python 3.13 and newer
     ruckig = None
 
+__all__ = ["needs_ruckig", "ruckig"]
+
 needs_ruckig = pytest.mark.skipif(ruckig is None, reason="ruckig is not installed (extra `plan`)")
