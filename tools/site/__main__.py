@@ -19,7 +19,7 @@ DEFAULTS = (ROOT / "build" / "site", ROOT / "docs")
 
 def main(arguments: list[str]) -> int:
     """Build the site and return Sphinx's exit status."""
-    site, docs = (Path(given) for given in (*arguments, *DEFAULTS[len(arguments) :]))
+    site, docs = (Path(given) for given in [*arguments, *map(str, DEFAULTS[len(arguments) :])])
     sources = site.with_name(f"{site.name}-sources")
     stage(sources, docs)
     options = ["--fail-on-warning", "--quiet", "--fresh-env", "--conf-dir", str(ROOT / "tools" / "site")]
