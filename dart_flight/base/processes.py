@@ -16,6 +16,7 @@ from typing import IO, NoReturn
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
+_ALARM_FACTOR = 3.0
 LATE_S = 0.05  # largest scheduling latency without a risk for a real-time flight
 
 
@@ -45,7 +46,8 @@ def exit_within(status: int, patience_s: float) -> NoReturn:
     """Exit with a status; kill the process if it has not exited after `patience_s`.
 
     Exit functions, and the threads and destructors of libraries such as MAVSDK, may block. A thread ends the
-    process if the interpreter still runs; otherwise SIGALRM ends the process one second later.
+    process if the interpreter still runs. SIGALRM ends a process that blocks later, but loses the status;
+    therefore it waits longer than a busy computer needs to end the interpreter.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -61,7 +63,7 @@ def exit_within(status: int, patience_s: float) -> NoReturn:
     threading.Thread(target=end, name="exit", daemon=True).start()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.setitimer(signal.ITIMER_REAL, patience_s + 1.0)
+        signal.setitimer(signal.ITIMER_REAL, _ALARM_FACTOR * patience_s)
     sys.exit(status)
 
 

@@ -63,7 +63,7 @@ RENAMED = {"feel": "inspect"}
 
 EXIT_OK, EXIT_INCOMPLETE, EXIT_INPUT = 0, 1, 2
 _OWN_OPTIONS = ("-h", "--help", "--version")
-_EXIT_S = 4.0  # time for a normal exit; a forced exit takes at most one second more
+_EXIT_S = 4.0  # time for a normal exit, before a forced exit
 EXIT_INTERRUPTED = 130  # a shell's status for SIGINT
 
 
