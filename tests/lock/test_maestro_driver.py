@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import time
+from collections.abc import Container
 from pathlib import Path
 
 import pytest
+import serial
 
 from dart_flight.base.records import LockPhase, Mode
 from dart_flight.config.vehicle import LockDriver
@@ -104,6 +107,31 @@ def test_persistent_garbage_is_a_fault_that_the_next_command_clears(rig: Maestro
     assert "no valid answer" in (rig.session.state.reason or "")
     rig.run(0.4)
     assert rig.travel(Mode.RIGID).phase is LockPhase.SETTLED
+
+
+@pytest.mark.parametrize(
+    ("late", "problem"), [({1}, None), ({1, 2, 4}, None), (range(1, 99), "the port accepts no bytes")]
+)
+def test_a_write_that_a_busy_computer_delays_is_repeated(
+    rig: MaestroRig, late: Container[int], problem: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pyserial writes, and reports a timeout if the thread was suspended after that."""
+    rig.driver.open()
+    write, writes = serial.Serial.write, itertools.count(1)
+
+    def write_late(port: serial.Serial, data: bytes) -> int | None:
+        written = write(port, data)
+        if next(writes) in late:
+            raise serial.SerialTimeoutException("Write timeout")
+        return written
+
+    monkeypatch.setattr(serial.Serial, "write", write_late)
+    if problem is not None:
+        with pytest.raises(DriverError, match=problem):
+            rig.driver.set_pulse(1500.0)
+        return
+    rig.driver.set_pulse(1500.0)
+    assert rig.controller.output_us() == 1500.0
 
 
 def test_a_silent_controller_raises_a_driver_error_within_1_5_s(rig: MaestroRig) -> None:

@@ -121,13 +121,15 @@ class MaestroDriver:
         """Send a command, up to `_ATTEMPTS` times, until the controller reports no serial error."""
         self.open()
         message = bytes((code, self._config.channel, value & 0x7F, (value >> 7) & 0x7F))
-        bits = 0
+        problem = "the port accepts no bytes"
         for _ in range(_ATTEMPTS):
-            self._write(message)
+            if self._write(message) is None:
+                continue
             bits = self._query_errors()
             if not bits & SERIAL_ERRORS:
                 return
-        raise self._connection_error(f"the controller reports {', '.join(error_names(bits))}")
+            problem = f"the controller reports {', '.join(error_names(bits))}"
+        raise self._connection_error(problem)
 
     def _query_position(self) -> int:
         query = bytes((GET_POSITION, self._config.channel))
@@ -158,6 +160,8 @@ class MaestroDriver:
     def _query(self, query: bytes, size: int) -> bytes | None:
         """Return the answer to a query, or None if the answer is too short or more bytes follow."""
         port = self._write(query, clear=True)
+        if port is None:
+            return None
         try:
             answer = bytes(port.read(size))
             left_over = port.in_waiting
@@ -166,7 +170,11 @@ class MaestroDriver:
             raise self._connection_error(_short_message(error)) from None
         return answer if len(answer) == size and not left_over else None
 
-    def _write(self, message: bytes, *, clear: bool = False) -> serial.Serial:
+    def _write(self, message: bytes, *, clear: bool = False) -> serial.Serial | None:
+        """Write a message and return the port, or None if it is unknown whether the message was written.
+
+        pyserial reports a timeout also if a busy computer has suspended this thread after the write.
+        """
         port = self._port
         if port is None:
             raise self._connection_error("not connected")
@@ -174,6 +182,8 @@ class MaestroDriver:
             if clear:
                 port.reset_input_buffer()
             port.write(message)
+        except serial.SerialTimeoutException:
+            return None
         except (OSError, termios.error, TypeError) as error:
             raise self._connection_error(_short_message(error)) from None
         return port
