@@ -16,7 +16,7 @@ from typing import IO, NoReturn
 _WATCHING_NICE = 19
 _PIPE_BYTES = 1 << 19
 _NAP_S, _MEASURE_S = 0.005, 0.5
-_ALARM_FACTOR = 3.0
+_ALARM_FACTOR = 3.0  # SIGALRM waits this many times longer than the thread that forces an exit
 LATE_S = 0.05  # largest scheduling latency without a risk for a real-time flight
 
 
@@ -46,8 +46,8 @@ def exit_within(status: int, patience_s: float) -> NoReturn:
     """Exit with a status; kill the process if it has not exited after `patience_s`.
 
     Exit functions, and the threads and destructors of libraries such as MAVSDK, may block. A thread ends the
-    process if the interpreter still runs. SIGALRM ends a process that blocks later, but loses the status;
-    therefore it waits longer than a busy computer needs to end the interpreter.
+    process if the interpreter still runs. SIGALRM ends a process whose interpreter is blocked, but the status
+    is lost; SIGALRM therefore comes later, so that a busy computer can end the interpreter.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):

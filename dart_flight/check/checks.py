@@ -87,7 +87,7 @@ class FlightContext:
     """
 
     mission: Mission
-    log_dir: Path = Path()
+    log_dir: Path = Path("flights")
     url: str | None = None
     position_from: PositionSource | None = None
     answer: Callable[[Press], tuple[Result, str]] | None = None
@@ -148,7 +148,7 @@ CHECKS: tuple[Check, ...] = (
     Check("goal", _FILE, lambda c: check_goal(c.mission, c.planned)),
     Check("walls", _FILE, lambda c: check_walls(c.mission, c.planned)),
     Check("anchors", _FILE, lambda c: check_anchors(c.mission)),
-    Check("materials", _FILE, lambda c: check_materials(c.mission)),
+    Check("materials", _FILE, lambda c: check_materials(c.mission, c.log_dir)),
     Check("flown", _FILE, lambda c: [check_flown(c.mission)]),
     Check("log_space", _COMPUTER, lambda c: [check_log_space(c.mission, c.log_dir)]),
     Check("lateness", _COMPUTER, lambda c: [check_lateness(c.mission)]),

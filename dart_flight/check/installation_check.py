@@ -27,17 +27,16 @@ from dart_flight.check.findings import CheckFinding
 from dart_flight.config.document import InputError
 from dart_flight.config.packages import install_command
 from dart_flight.config.state_folder import ensure_folder, state_dir
-from dart_flight.sim.px4.installation import ENVIRONMENT, find_install
+from dart_flight.sim.px4.installation import ENVIRONMENT, PACKAGES, find_install
 
 _DISTRIBUTION = "dart-flight"
-_NOT_FOR_USERS = ("dev", "full", "mutants")  # extras of developers, and the sum of the others
-_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+).*?; extra == ['\"](?P<extra>\w+)['\"]$")
+_NOT_FOR_USERS = ("dev", "full", "mutants", "site")  # extras of developers, and the sum of the others
+_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+).*?;.*\bextra == ['\"](?P<extra>\w+)['\"]$")
 _PORTS = ("ttyACM*", "ttyUSB*", "ttyAMA*", "serial[0-9]")
 _LEAST_SPACE = 1e9  # bytes; a log of ten minutes takes less than a tenth of this
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronized
 _TIMEX_BYTES = 512  # at least the size of the kernel's struct timex
 _PATH = re.compile(r"(?<![\w*.-])[~/][^\s:,;]*")  # absolute, or in a home folder
-_PACKAGED_PX4 = ("/opt/px4", "/opt/px4-gazebo")
 
 
 @dataclass
@@ -56,7 +55,8 @@ class Computer:
 
     def shown(self, path: Path) -> str:
         """Return the text for a path."""
-        return str(path) if not self.private or str(path) in _PACKAGED_PX4 else "a folder of this account"
+        packaged = {f"/{package}" for package in PACKAGES}
+        return str(path) if not self.private or str(path) in packaged else "a folder of this account"
 
     def redacted(self, text: str, folder: Path = Path("/")) -> str:
         """Return the text of an error that may mention `folder`, for `private` without paths."""

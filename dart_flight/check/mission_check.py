@@ -45,7 +45,7 @@ from dart_flight.planning.predicted_flight import (
     predict_mission,
     predicted_segments,
 )
-from dart_flight.recording.later_flights import AGREES, FLIGHTS, contradicts, later_excesses, mean_excess
+from dart_flight.recording.later_flights import AGREES, contradicts, later_excesses, mean_excess
 
 _FLAT_DEG = 10.0  # incidence angle above which one guard carries most of the force
 _CLEARANCE_M = 0.15  # minimum distance of start and goal from a wall's plane
@@ -511,11 +511,11 @@ def check_flown(mission: Mission) -> CheckFinding:
     return CheckFinding("flown", True, message, remark=flown.failure is not None, figures=figures)
 
 
-def check_materials(mission: Mission, flights: Path = FLIGHTS) -> list[CheckFinding]:
+def check_materials(mission: Mission, log_dir: Path) -> list[CheckFinding]:
     """Return the source of each material's coefficients.
 
-    If `series apply` wrote them, the finding has their age, and a remark if the newest flights below
-    `flights` disagree with them.
+    If `series apply` wrote them, the finding has their age, and a remark if the newest flights in
+    `log_dir` disagree with them.
     """
     findings = []
     source_file = None if mission.vehicle_source is None else mission.vehicle_source.source
@@ -530,20 +530,20 @@ def check_materials(mission: Mission, flights: Path = FLIGHTS) -> list[CheckFind
         if applied:
             ages = [f"{one.mode} {(date.today() - one.day).days} days old" for one in applied]
             message += f"; coefficients: {', '.join(ages)}"
-        differing = list(_differing(mission, name, applied, flights))
+        differing = list(_differing(mission, name, applied, log_dir))
         message += "".join(f"; {text}" for text in differing)
         findings.append(CheckFinding(f"material_{name}", True, message, remark=assumed or bool(differing)))
     return findings
 
 
 def _differing(
-    mission: Mission, material: str, applied: Sequence[HistoryEntry], flights: Path
+    mission: Mission, material: str, applied: Sequence[HistoryEntry], log_dir: Path
 ) -> Iterator[str]:
     """Yield a sentence for each mode whose applied coefficients the newest flights contradict."""
     if not applied:
         return
     since = min(one.day for one in applied)
-    excesses = later_excesses(flights, since, mission.vehicle, material)
+    excesses = later_excesses(log_dir, since, mission.vehicle, material)
     for mode in (Mode(one.mode) for one in applied):
         if (values := excesses.get(mode)) and contradicts(*mean_excess(values)):
             mean, count = mean_excess(values)[0], len(values)

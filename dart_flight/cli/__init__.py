@@ -198,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run() -> NoReturn:
-    """Run `dart-flight` and end the process at most 5 s after the command has finished."""
+    """Run `dart-flight` and end the process soon after the command has finished."""
     exit_within(main(), _EXIT_S)
 
 

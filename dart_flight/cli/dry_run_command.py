@@ -183,7 +183,7 @@ def run(arguments: argparse.Namespace) -> int:
             "flying the packaged dual collision; `dart-flight init DIR` copies it and other missions"
         )
     if falls_back:
-        console.print(f"flown with --fast, because pymavlink is not installed ({install_command('sim')})")
+        console.print(f"flying with --fast, because pymavlink is not installed ({install_command('sim')})")
     print_vehicle(mission.flown_vehicle(), arguments)
     warnings = [
         *impact_warnings(mission),

@@ -21,7 +21,6 @@ from dart_flight.recording.found import LOG_NAME
 from dart_flight.recording.reader import read_log
 from dart_flight.recording.verdict import verdict_of
 
-FLIGHTS: Final = Path("flights")  # default folder of logs
 # A smaller excess does not show a wrong k: a 20 % change of k changes the peak by twice this limit. One
 # flight has no spread, and its measured velocity, which the prediction uses, has an error of up to 4 %.
 AGREES: Final = 0.05
@@ -41,15 +40,15 @@ def contradicts(mean: float, half: float) -> bool:
 
 
 def later_excesses(
-    flights: Path, since: datetime.date, vehicle: VehicleConfig, material: str
+    log_dir: Path, since: datetime.date, vehicle: VehicleConfig, material: str
 ) -> dict[Mode, list[float]]:
     """Return (measured peak / predicted peak - 1) for each hit on a material, by mode.
 
-    The hits are those of the vehicle's newest flights below `flights` that did not begin before the day
+    The hits are those of the vehicle's newest flights in `log_dir` that did not begin before the day
     `since`. Simulated flights and unreadable logs do not count.
     """
     found: dict[Mode, list[float]] = {}
-    for path in sorted(flights.glob(f"*/{LOG_NAME}"), key=lambda one: one.parent.name)[-_NEWEST:]:
+    for path in sorted(log_dir.glob(f"*/{LOG_NAME}"), key=lambda one: one.parent.name)[-_NEWEST:]:
         try:
             log = read_log(path)
             mission = flown_mission(log.about, log.source)

@@ -63,7 +63,6 @@ from dart_flight.vehicle.text_parts import TextAssembler, split_text
 _ACTION_TIMEOUT_S = 5.0
 _CLOSE_S = 3.0
 _logger = logging.getLogger("dart_flight.mavsdk")
-_SYSTEM_STATUS = re.compile(r'"system_status":\s*(\d+)')
 _RESULT = re.compile(r'"result":\s*(\d+)')
 _SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _REPEATED_US = 100_000  # interval at which an unchanged setpoint is sent again

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import re
@@ -75,6 +76,21 @@ def test_a_missing_package_is_a_remark_with_its_remedy(monkeypatch: pytest.Monke
     versions["mavsdk"] = None
     found = finding_of(check_packages(Computer()), "packages")
     assert (found.go, found.remark, found.message) == (False, False, "missing: mavsdk")
+
+
+def test_a_package_with_a_condition_belongs_to_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    required = [
+        "numpy>=1.26",
+        'tomli>=2; python_version < "3.11"',
+        'ruckig>=0.17; (platform_machine != "aarch64" or python_version < "3.13") and extra == "plan"',
+    ]
+    monkeypatch.setattr(importlib.metadata, "requires", lambda name: required)
+    monkeypatch.setattr(installation_check, "_version_of", lambda package: "1.0")
+    found = list(check_packages(Computer()))
+    assert [(f.item, f.message) for f in found] == [
+        ("packages", "numpy 1.0, tomli 1.0"),
+        ("plan", "ruckig 1.0"),
+    ]
 
 
 def test_a_port_that_cannot_be_opened_is_a_remark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

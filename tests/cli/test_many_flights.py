@@ -253,5 +253,5 @@ def test_a_bare_dry_run_flies_without_the_simulation_package(
     assert main(["dry-run"]) == 0
     errors = " ".join(capsys.readouterr().err.split())
     assert "flying the packaged dual collision" in errors
-    assert "flown with --fast, because pymavlink is not installed" in errors
+    assert "flying with --fast, because pymavlink is not installed" in errors
     assert main(["dry-run", "--speed", "2"]) == 2

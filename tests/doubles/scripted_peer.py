@@ -257,10 +257,10 @@ class ScriptedPeer(ThreadContext):
                 return
             for message in self.protocol.decode(data):
                 kind = self.protocol.kind(message)
+                if self.RECORDED is None or kind in self.RECORDED:
+                    self.received.append(message)  # before the answer, after which a test may look
                 self.send(*(self.answers.get(kind, _no_answer)(message) or ()))
                 with self.news:
-                    if self.RECORDED is None or kind in self.RECORDED:
-                        self.received.append(message)
                     self.update(message)
                     self.news.notify_all()
 

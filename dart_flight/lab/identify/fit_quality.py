@@ -36,7 +36,6 @@ _SAME_SPEED = 0.12  # maximum relative difference between hits that count as hit
 _MIN_HITS = 3
 _EARNED = 0.1  # minimum relative improvement over a baseline that counts as significant
 CONSTANT_RESTITUTION, FORCE_PROPORTIONAL = "constant-restitution", "force-proportional"
-_Prediction = Callable[[LawProblem, LawProblem], tuple[Array, Array]]
 
 
 def assess_fit(

@@ -155,7 +155,7 @@ class StudioPage:
         made.on_click(lambda event: self.post(runs[made.value]))
 
     def when_changed(self, made: Any, run: Callable[[Any], None], *, wait: bool = False) -> None:
-        """Call `run` with the value that a page has set; with `wait`, when no further value follows."""
+        """Call `run` with a value that the page sets; `wait` waits until no further value follows."""
 
         def changed(event: Any) -> None:
             if event.client is None:  # set by the studio

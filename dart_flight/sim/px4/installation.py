@@ -26,7 +26,7 @@ HOW_TO_GET = (
     "--px4 ~/px4",
     "  build: run make px4_sitl_default in PX4's source folder, ~/PX4-Autopilot (docs/px4.md)",
 )
-_PACKAGES = ("opt/px4", "opt/px4-gazebo")  # where PX4's packages are installed
+PACKAGES = ("opt/px4", "opt/px4-gazebo")  # where PX4's packages are installed
 _SOURCE = "PX4-Autopilot"
 
 
@@ -80,7 +80,7 @@ def _usual_places(environ: Mapping[str, str], root: Path) -> Iterator[Path]:
     program = shutil.which("px4", path=environ.get("PATH", ""))
     if program is not None:
         yield Path(program)
-    yield from (root / package for package in _PACKAGES)
+    yield from (root / package for package in PACKAGES)
     if environ.get("HOME"):
         yield Path(environ["HOME"], _SOURCE)
 
@@ -114,7 +114,7 @@ def _folders(path: Path) -> Iterator[Path]:
         yield path.parent
     builds = [*path.glob("px4_sitl_*"), *path.glob("build/px4_sitl_*")]
     yield from sorted(builds, key=_preference)
-    yield from (path / package for package in _PACKAGES)
+    yield from (path / package for package in PACKAGES)
 
 
 def _preference(build: Path) -> tuple[bool, bool, float]:

@@ -253,7 +253,7 @@ def test_application_changes_only_the_material_and_dates_it(series: SeriesFolder
     entry = newest_entry(read_history(config), "acrylic", "flexible")
     assert entry is not None
     assert (entry.day, entry.hits) == (today.date(), 4)
-    (finding,) = check_materials(load_mission(MISSION, config))
+    (finding,) = check_materials(load_mission(MISSION, config), config.parent)
     age = (date.today() - today.date()).days
     assert finding.message.endswith(f"coefficients: flexible {age} days old")
 
