@@ -7,6 +7,7 @@ single contacts. After the series, ten more hits are predicted with its result.
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
+from dart_flight.lab.identify.flight_trials import ALLOWANCE
 from dart_flight.lab.identify.next_hits import FITTED
 from dart_flight.lab.series.batch import plan_batch
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, read_flight, sort_hits
@@ -37,7 +39,7 @@ _SPREAD, _MASS_SD, _SCATTER = 0.3, 0.005, 0.05
 _MOST_HITS = 16  # a mode
 _HITS_PER_FLIGHT = 8
 _PREDICTED_HITS = 10
-_WORST = 0.92  # coverage below which a row is bold
+_WORST, _HELD = 0.92, 0.95  # coverage below which a row is bold; coverage for which an allowance is enough
 
 
 class SeriesOutcome(msgspec.Struct, frozen=True):
@@ -199,6 +201,8 @@ def page(rows: Sequence[JudgedRow]) -> str:
                 for low in (1, 3)  # without and with the allowance
             )
             most = f"{wide}/{len(found)}"
+            beside = [max(0.0, c[1] - c[-1], c[-1] - c[2]) / c[0] for c in found]
+            enough = sorted(beside)[math.ceil(_HELD * len(beside)) - 1]
             errors.append(
                 [
                     of,
@@ -207,6 +211,7 @@ def page(rows: Sequence[JudgedRow]) -> str:
                     f"{100.0 * median(off):+.1f}",
                     f"{narrow}/{len(found)}",
                     most if wide >= _WORST * len(found) else f"**{most}**",
+                    f"{100.0 * ALLOWANCE[name]:g}; {100.0 * enough:.1f}",
                 ]
             )
     flown = []
@@ -227,6 +232,14 @@ def page(rows: Sequence[JudgedRow]) -> str:
                 *(f"{speed:.3f}" for speed in speeds),
             ]
         )
-    of_errors = ("body", "", "median error, %", "bias, %", "statistical", "with allowance")
+    of_errors = (
+        "body",
+        "",
+        "median error, %",
+        "bias, %",
+        "statistical",
+        "with allowance",
+        "allowance; enough, %",
+    )
     heads = ("body", "wall", "series", "hits", "peak / limit", "lost", "peak, %", "out, m/s", "constant")
     return markdown(of_errors, errors) + "\n" + markdown(heads, flown)

@@ -19,7 +19,8 @@ from dart_flight.config.document import InputError
 from dart_flight.config.provenance import display_path
 
 # Options that `series fly` passes on, each with its value: a metavar, or None for a flag.
-_FOR_SIMULATION: Final = {"--px4": "DIR", "--hitl": "URL", "--fast": None}
+_EMBEDDED: Final = "--dry-run"  # `dry-run` without any of the other options
+_FOR_SIMULATION: Final = {"--px4": "DIR", "--hitl": "URL", "--fast": None, _EMBEDDED: None}
 _PASSED_ON: Final = {
     "--connection": "URL", "--mocap": "SOURCE", "--driver": "DRIVER", "--seed": "N", "--speed": "X",
     "--fault": "NAME", "--vary": "NAME", "--set": "KEY=VALUE", "--overrule": "ITEM",
@@ -51,7 +52,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     fly = _action(actions, "fly", "write the next batch and fly it, on the vehicle or in simulation")
     for option, metavar in {**_FOR_SIMULATION, **_PASSED_ON}.items():
         if metavar is None:
-            fly.add_argument(option, action="store_true", help="as for fly and dry-run")
+            text = "fly in the embedded simulation" if option == _EMBEDDED else "as for fly and dry-run"
+            fly.add_argument(option, action="store_true", help=text)
         elif option == "--px4":
             fly.add_argument(option, nargs="?", const="", metavar=metavar, help="as for dry-run")
         elif option in _REPEATABLE:
@@ -253,11 +255,15 @@ def _percent(half: float) -> str:
     return f"±{100.0 * half:.0f} %"
 
 
+def _value(arguments: argparse.Namespace, option: str) -> Any:
+    return getattr(arguments, option[2:].replace("-", "_"))
+
+
 def _fly(arguments: argparse.Namespace) -> int:
     """Write the next batch and fly it by a child command, which checks and asks by itself."""
-    simulated = [option for option in _FOR_SIMULATION if getattr(arguments, option[2:]) not in (None, False)]
+    simulated = [option for option in _FOR_SIMULATION if _value(arguments, option) not in (None, False)]
     if len(simulated) > 1 or (simulated and arguments.connection is not None and simulated != ["--hitl"]):
-        raise InputError("give only one of --connection, --hitl, --px4 and --fast")
+        raise InputError("give only one of --connection, --hitl, --px4, --fast and --dry-run")
     path, go = _plan(arguments)
     if not go and not arguments.overrule:
         raise FlightError("not flown: the check of the batch has an objection")
@@ -273,9 +279,9 @@ def _fly(arguments: argparse.Namespace) -> int:
         str(folder.flights_of(path.parent)),
     ]
     for option, metavar in {**_FOR_SIMULATION, **_PASSED_ON}.items():
-        value = getattr(arguments, option[2:].replace("-", "_"))
+        value = _value(arguments, option)
         if metavar is None:
-            call += [option] if value else []
+            call += [option] if value and option != _EMBEDDED else []
         else:
             for one in value if isinstance(value, list) else [] if value is None else [value]:
                 call += [option, one]

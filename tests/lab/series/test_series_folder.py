@@ -139,6 +139,39 @@ def test_a_killed_flight_is_named_and_the_next_batch_follows(
     assert [path.name for path in series.batches()] == ["01", "02"]
 
 
+@pytest.mark.parametrize(
+    ("options", "command", "passed_on"),
+    [
+        ([], "fly", []),
+        (["--dry-run", "--speed", "max"], "dry-run", ["--speed", "max"]),
+        (["--fast", "--seed", "3"], "dry-run", ["--fast", "--seed", "3"]),
+        (["--connection", "udpin://0.0.0.0:14540"], "fly", ["--connection", "udpin://0.0.0.0:14540"]),
+    ],
+)
+def test_a_batch_is_flown_by_the_command_of_its_world(
+    series: SeriesFolder,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+    command: str,
+    passed_on: list[str],
+) -> None:
+    calls = list[list[str]]()
+
+    def fly(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        calls.append(call)
+        return subprocess.CompletedProcess(call, 0)
+
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fly)
+    assert main(["series", "fly", SERIES, *options]) == 0
+    (call,) = calls
+    assert call[3] == command
+    assert call[call.index("--log-dir") + 2 :] == passed_on
+
+
+def test_a_batch_is_flown_in_one_world(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    assert "only one of" in refusal_of("series", "fly", SERIES, "--fast", "--dry-run")
+
+
 def test_two_programs_cannot_write_a_series(series: SeriesFolder, capsys: pytest.CaptureFixture[str]) -> None:
     with locked(series.path):
         assert main(["series", "next", SERIES]) == 1

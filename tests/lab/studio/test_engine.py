@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -269,3 +271,15 @@ def test_a_planner_that_dies_ends_its_plan_with_a_reason(page: Page) -> None:
     assert not end.cancelled
     number = page.engine.plan(ONE_WALL.read_text(), ONE_WALL)
     assert page.wait_for(Planned, number).plans
+
+
+def test_a_process_whose_page_has_ended_exits_silently() -> None:
+    command = [sys.executable, "-m", "dart_flight.lab.studio.engine_process"]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
