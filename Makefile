@@ -71,6 +71,7 @@ docs: $(STAMP)  # regenerates the tables, schemas and figures in docs/
 	$(BIN)/python -m tools.docs.concept_figures
 	$(BIN)/python -m tools.docs.animation
 	$(BIN)/python -m tools.docs.both_ways
+	$(BIN)/python -m tools.docs.studio_pictures
 
 site: $(SITE)  # the manual as static pages in build/site; needs the network once, for the generator
 	$(BIN)/python -m tools.site

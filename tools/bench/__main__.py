@@ -29,7 +29,7 @@ from tools.campaigns import results
 Row = dict[str, Any]  # name, value, unit, baseline, ratio: docs/interfaces.md
 
 MODULES = ("contact", "plan", "core", "log", "latency", "poses", "share")
-NAMES = (*MODULES, "stepwise")
+NAMES = (*MODULES, "stepwise", "studio")  # the last two need other software: rotorpy, Chromium
 OUTPUT = Path("build/bench.json")
 
 

@@ -6,7 +6,6 @@ dry-run --fast`. `python -m tools.bench studio` writes the figures into docs/res
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import re
@@ -14,24 +13,22 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page
 
 from dart_flight.config.vehicle import packaged
 from dart_flight.lab.studio import edits
 from dart_flight.lab.studio.open_file import OpenFile, StudioKind
 from dart_flight.lab.studio.studio import Studio
 from tools.bench.latency import percentile
+from tools.studio_browser import COMPILING_S, browser_page, shown_studio, wait_for_verdict
 
-_CHROMIUM = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-_EDITS, _FLIGHTS, _WAIT_MS = 10, 50, 60_000
+_EDITS, _FLIGHTS = 10, 50
 _MORE_EDITS = 500  # of one mission, for the memory
-_COMPILING_S = 6.0  # a browser without a graphics processor stalls for 4 s while it compiles shaders
 _VERDICT_AFTER = """undo => {
     const text = document.body.innerText;
     return text.includes(undo) && /^(go|no-go|error)/m.test(text);
@@ -40,16 +37,11 @@ _VERDICT_AFTER = """undo => {
 
 def rows() -> list[dict[str, Any]]:
     """Return rows for the benchmark table; they need Chromium and Playwright."""
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
+    with tempfile.TemporaryDirectory() as folder, browser_page(1280, 800) as page:
         room = Path(folder)
         for name in ("missions", "configs"):
             shutil.copytree(packaged(name), room / name)
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(_CHROMIUM))
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.set_default_timeout(_WAIT_MS)
-        found = [_start(page, room), *_use(page, room)]
-        browser.close()
-    return found
+        return [_start(page, room), *_use(page, room)]
 
 
 def _start(page: Page, room: Path) -> dict[str, Any]:
@@ -63,7 +55,7 @@ def _start(page: Page, room: Path) -> dict[str, Any]:
     with subprocess.Popen(studio, cwd=room, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         page.goto(process.stderr.readline().split()[1].rstrip(";"))
-        page.get_by_text(re.compile("^(go|no-go)")).first.wait_for()
+        wait_for_verdict(page)
         value = time.perf_counter() - began_s
         process.terminate()
     return _row("studio, command to verdict", value, "s", bare)
@@ -75,8 +67,8 @@ def _use(page: Page, room: Path) -> Iterator[dict[str, Any]]:
     for path in sorted((room / "missions").glob("**/*.yaml")):
         opened = OpenFile.load(path)
         if opened.kind is StudioKind.MISSION:
-            with _shown(page, opened, room / "flights") as studio:
-                time.sleep(_COMPILING_S)
+            with shown_studio(page, opened, room / "flights") as studio:
+                time.sleep(COMPILING_S)
                 times += _edit(page, studio, _EDITS)
     yield _row(f"studio, edit checked and drawn, p50 of {len(times)}", percentile(times, 0.5), "s")
     yield _row(f"studio, edit checked and drawn, p95 of {len(times)}", percentile(times, 0.95), "s")
@@ -86,7 +78,7 @@ def _use(page: Page, room: Path) -> Iterator[dict[str, Any]]:
     fast = [sys.executable, "-m", "dart_flight", "dry-run", "--fast", "missions/dual_collision.yaml"]
     subprocess.run(fast, cwd=room, capture_output=True, check=True)
     command_s = time.perf_counter() - began_s
-    with _shown(page, OpenFile.load(mission), room / "flights") as studio:
+    with shown_studio(page, OpenFile.load(mission), room / "flights") as studio:
         _edit(page, studio, 1)
         before = _memory_mb()
         page.get_by_role("tab", name="Fly", exact=True).click()
@@ -111,7 +103,7 @@ def _use(page: Page, room: Path) -> Iterator[dict[str, Any]]:
 
 def _cancelled(page: Page) -> float:
     """Return how long Cancel takes after the progress of 1,000 flights has been seen."""
-    page.locator("xpath=//label[.='flights']/following::input[1]").fill("1000")
+    page.locator("xpath=//label[.='flights']/following::input[not(@type='hidden')][1]").fill("1000")
     page.get_by_role("button", name="Fly", exact=True).click()
     page.get_by_text(re.compile(r"^[1-9]\d* of 1000 flights")).first.wait_for()
     began_s = time.perf_counter()
@@ -135,20 +127,6 @@ def _edit(page: Page, studio: Studio, count: int) -> list[float]:
         page.wait_for_function(_VERDICT_AFTER, arg=f"undo: {what}", polling=10)
         times.append(time.perf_counter() - began_s)
     return times
-
-
-@contextlib.contextmanager
-def _shown(page: Page, opened: OpenFile, logs: Path) -> Iterator[Studio]:
-    studio = Studio(opened, logs, ("127.0.0.1", 0))
-    thread = threading.Thread(target=studio.run, daemon=True)
-    thread.start()
-    try:
-        page.goto(f"http://127.0.0.1:{studio.server.get_port()}")
-        page.get_by_text(re.compile("^(go|no-go|error)")).first.wait_for()
-        yield studio
-    finally:
-        studio.stop()
-        thread.join()
 
 
 def _until(condition: Any) -> None:

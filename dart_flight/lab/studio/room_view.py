@@ -54,6 +54,7 @@ _CHARACTER_PX, _LINE_PX = 5.8, 15.5  # size of a label's letters
 _VIEW_PX = 1000  # height of the view that the labels of a page without a camera are placed for
 _MOST_SHIFTS = 30
 _LABEL_CHARACTERS, _LABEL_LINES = 40, 3  # of a finding beside its object
+_RESIZED, _UNMOVED = 0.02, 1e-3  # relative changes of a view's aspect ratio, and of a camera's position
 _SLOP_M, _SLOP_RAD = 5e-4, 1e-3  # smaller drags change nothing
 _LEAST_N = 2.0  # smaller forces are noise
 _ARMS: dict[str, Mode | None] = {"rigid": Mode.RIGID, "flexible": Mode.FLEXIBLE, "travelling": None}
@@ -90,8 +91,9 @@ class RoomView:
         self._handles: dict[str, Handle] = {}
         self._drag: _Drag | None = None
         self._scene: Scene | None = None
+        self._aims: dict[int, tuple[float, Array]] = {}  # of each client: aspect and position of the camera
         server.scene.configure_default_lights(True, cast_shadow=False)
-        server.on_client_connect(lambda client: self._aim(client.camera, _aspect(client)))
+        server.on_client_connect(self._follow_size)
 
     @property
     def is_dragging(self) -> bool:
@@ -118,7 +120,26 @@ class RoomView:
         for client in self._server.get_clients().values():
             with client.atomic():
                 client.camera.up_direction = (0.0, 0.0, 1.0)
-                self._aim(client.camera, _aspect(client))
+                self._aim_client(client)
+
+    def _follow_size(self, client: viser.ClientHandle) -> None:
+        """Show the whole room in a new page, whatever its size, until the user moves the camera."""
+        self._aim_client(client)
+
+        # The panel takes its part of the window after the camera's first message.
+        def fit(camera: viser.CameraHandle) -> None:
+            aspect, position = self._aims[client.client_id]
+            moved_m = float(np.linalg.norm(np.asarray(camera.position) - position))
+            resized = abs(_aspect(client) / aspect - 1.0) > _RESIZED
+            if resized and moved_m < _UNMOVED * float(position[2]):
+                self._aim_client(client)
+
+        client.camera.on_update(fit)
+
+    def _aim_client(self, client: viser.ClientHandle) -> None:
+        aspect = _aspect(client)
+        self._aim(client.camera, aspect)
+        self._aims[client.client_id] = aspect, np.asarray(client.camera.position)
 
     def _aim(self, camera: Any, aspect: float) -> None:
         if self._scene is None:
