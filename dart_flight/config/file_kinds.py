@@ -24,6 +24,7 @@ class FileKind(Enum):
 
 
 EXTENDS = "extends"  # with this key, a configuration contains only its differences from another file
+HISTORY = ".history"  # in `NAME.history.yaml`, the history of `NAME.yaml`
 # Top-level keys that occur in only one kind of file.
 _MARKS = {
     FileKind.MISSION: ("collisions", "waypoints"),

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from msgspec import Meta
 
 from dart_flight.config.document import Document
+from dart_flight.config.file_kinds import HISTORY
 from dart_flight.config.section import Section
 
 
@@ -57,7 +58,7 @@ class HistoryFile(Section, frozen=True):
 
 def history_path(config: Path) -> Path:
     """Return the history's path for a configuration `NAME.yaml`: `NAME.history.yaml` in the same folder."""
-    return config.with_name(f"{config.stem}.history.yaml")
+    return config.with_name(f"{config.stem}{HISTORY}.yaml")
 
 
 def read_history(config: Path) -> tuple[HistoryEntry, ...]:

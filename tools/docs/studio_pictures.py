@@ -35,7 +35,9 @@ def main() -> None:
             page.get_by_role("button", name="Fly", exact=True).click()
             page.get_by_role("button", name="Pause", exact=True).click()
             time.sleep(COMPILING_S)  # the last frames would overwrite the time
-            page.locator("xpath=//label[.='time, s']/following::input[not(@type='hidden')][1]").fill(_SECOND_HIT_S)
+            page.locator("xpath=//label[.='time, s']/following::input[not(@type='hidden')][1]").fill(
+                _SECOND_HIT_S
+            )
             time.sleep(COMPILING_S)
             page.screenshot(path=pictures / "studio_flight.png")
 

@@ -15,7 +15,7 @@ import msgspec
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import Mode
 from dart_flight.config.document import Document, InputError, Key, iterate_leaves, read_text, unknown_name
-from dart_flight.config.file_kinds import EXTENDS
+from dart_flight.config.file_kinds import EXTENDS, HISTORY
 from dart_flight.config.section import Section
 from dart_flight.config.settings import apply_changes, apply_settings
 from dart_flight.config.vehicle.airframe import Airframe, Imu, Material, Thrust, effectiveness
@@ -136,7 +136,7 @@ def default_config_path() -> Path:
     if named:
         return Path(named)
     local = Path("configs/dart.yaml")
-    there = sorted(local.parent.glob("*.yaml"))
+    there = [path for path in sorted(local.parent.glob("*.yaml")) if not path.stem.endswith(HISTORY)]
     bases = {path.parent / base for path in there if (base := extended_file(path)) is not None}
     last = [path for path in there if path not in bases]
     if len(last) == 1:

@@ -227,7 +227,7 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
             "drops are not flown: `series next` names their heights, `series add` adds recordings"
         )
     limits = hit_limits(settings, mission)
-    fits = {mode: status.modes[mode.value].fit for mode in settings.modes}
+    fits = {mode: status.modes[mode.value].statistical_fit for mode in settings.modes}
     name = f"{settings.wall} {folder.next_batch().name}"
     hits, tree, _ = plan_batch(settings, mission, status, name)
     path = folder.write_batch(tree)
@@ -243,7 +243,7 @@ def _plan(arguments: argparse.Namespace) -> tuple[Path, bool]:
         if own:
             halves = expected_halves(fit, limits, own)
             gains = [f"{n} {_percent(getattr(fit, n).half)} to {_percent(halves[n])}" for n in FITTED]
-            lines.append(f"  expected gain, {mode.value}: {', '.join(gains)}")
+            lines.append(f"  expected statistical intervals, {mode.value}: {', '.join(gains)}")
     lines.append(f"  missing: {describe(status)}")
     print_status(*lines)
     report = decide(batch, run_checks(FlightContext(batch), Stage.FILE))
@@ -287,10 +287,19 @@ def _fly(arguments: argparse.Namespace) -> int:
                 call += [option, one]
     if arguments.config is not None:
         call += ["--config", arguments.config]
+    if simulated and simulated != ["--hitl"] and arguments.seed is None:
+        call += [
+            "--seed",
+            str(int(path.parent.name)),
+        ]  # with the same seed, each batch would have the same noise
+    before = folder.logs()
     with _interrupts_for_child():
         status = subprocess.run(call, check=False).returncode
-    print_status(f"the flight is in {display_path(folder.flights_of(path.parent))}")
-    _print_status_table(_read(arguments)[3])
+    new = [log for name, log in folder.logs().items() if name not in before]
+    for log in new:
+        print_status(f"the flight is in {display_path(log.parent)}")
+    if new or not status:
+        _print_status_table(_read(arguments)[3])
     if status < 0:
         raise FlightError(f"{signal.Signals(-status).name} has ended the flight's program; its hits are kept")
     return status
@@ -359,8 +368,7 @@ def _print_status_table(status: Any) -> None:
         for hit, why in one.aside.items():
             console.print(f"set aside: {hit}: {why}", soft_wrap=True)
     for flight, ended in status.flights.items():
-        if ended != "completed":
-            console.print(f"{flight}: {ended}", soft_wrap=True)
+        console.print(f"flight {flight}: {ended or 'in progress'}", soft_wrap=True)
     for line in (*status.changes, describe(status)):
         console.print(line, soft_wrap=True)
 
@@ -377,24 +385,30 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _apply(arguments: argparse.Namespace) -> int:
+    from dart_flight.config.provenance import find_vehicle
+    from dart_flight.lab.series.evidence import refuse_other_vehicle
     from dart_flight.lab.series.history import apply_status
+    from dart_flight.lab.series.status import describe
 
-    folder, _, evidence, status = _read(arguments)
-    config = folder.config
-    if config is None:
-        raise InputError(
-            "the series uses the default configuration: name your file with --config", key=("--config",)
-        )
+    if arguments.config is None:
+        raise InputError("name the configuration to write, such as configs/mine.yaml", key=("--config",))
+    config = Path(arguments.config)
+    arguments.config = None  # the series has been flown with its own configuration
+    folder, mission, evidence, status = _read(arguments)
+    refuse_other_vehicle(find_vehicle(config).config, mission.vehicle, str(config))
     entries = apply_status(status, evidence, config, folder.path)
     if arguments.json:
         emit_json(entries)
     for entry in entries:
         values = ", ".join(f"{name} {c.value:g}" for name, c in entry.coefficients.items())
         print_status(f"{config}: {entry.material} {entry.mode}: {values} ({entry.hits} hits, {entry.date})")
+    if not status.is_complete:
+        print_status(f"the aims are not reached: {describe(status)}")
     return 0
 
 
 def _exclude(arguments: argparse.Namespace) -> int:
+    from dart_flight.lab.series.evidence import read_evidence
     from dart_flight.lab.series.series_file import ExcludedHit
 
     folder = _open(arguments)
@@ -402,6 +416,9 @@ def _exclude(arguments: argparse.Namespace) -> int:
     if not colon or not hit.isdigit() or int(hit) < 1:
         raise InputError(f"{arguments.hit!r} is not FLIGHT:HIT, such as {'01/NAME'}:3", key=("FLIGHT:HIT",))
     excluded = ExcludedHit(folder.flight_named(flight), int(hit), arguments.why)
+    hits = [one.number for one in read_evidence(folder).hits if one.flight == excluded.flight]
+    if excluded.hit not in hits:
+        raise InputError(f"{excluded.flight} has {len(hits)} hits", key=("FLIGHT:HIT",))
     kept = [
         one for one in folder.settings.excluded if (one.flight, one.hit) != (excluded.flight, excluded.hit)
     ]
@@ -412,8 +429,10 @@ def _exclude(arguments: argparse.Namespace) -> int:
 
 def _add(arguments: argparse.Namespace) -> int:
     from dart_flight.base.records import Mode
+    from dart_flight.lab.series.evidence import read_drop, refuse_foreign
     from dart_flight.lab.series.series_file import DropTrial
     from dart_flight.recording.found import LOG_NAME
+    from dart_flight.recording.reader import read_log
 
     folder = _open(arguments)
     if folder.settings.heights_m is not None:
@@ -421,8 +440,10 @@ def _add(arguments: argparse.Namespace) -> int:
         if mode is None or Mode(mode) not in folder.settings.modes:
             raise InputError(f"give one of {', '.join(folder.settings.modes)}", key=("--mode",))
         drop = DropTrial(arguments.flight.name, Mode(mode), arguments.height, arguments.contact_distance)
+        read_drop(arguments.flight, arguments.flight.name, drop, folder)  # refuses an unusable recording
         print_status(f"added {folder.add_drop(arguments.flight, drop)}")
         return 0
     log = arguments.flight / LOG_NAME if arguments.flight.is_dir() else arguments.flight
+    refuse_foreign(read_log(log), folder)
     print_status(f"added {folder.add(log)}")
     return 0

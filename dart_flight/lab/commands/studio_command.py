@@ -69,6 +69,12 @@ def run(arguments: argparse.Namespace) -> int:
     asked = threading.Event()
 
     def end(number: signal.Signals) -> None:
+        files = [studio.page.file for studio in started if studio.page.file is not None]
+        unsaved = any(file.is_changed and file.can_undo for file in files)
+        if unsaved and number is signal.SIGINT and not asked.is_set():
+            print_status("the edits are not saved; Ctrl-C again discards them")
+            asked.set()
+            return
         asked.set()
         for studio in started:
             studio.stop()

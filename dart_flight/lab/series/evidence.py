@@ -29,6 +29,7 @@ from dart_flight.recording.verdict import verdict_of
 _DIFFERS = 0.25  # difference of the logarithm of k above which a hit is on another wall or in another mode
 _SDS = 5.0
 _FEWEST = 3  # hits from which a group can be told from an outlier
+_OTHER_VEHICLE = 0.15  # relative difference of the masses; other batteries differ by less
 
 
 @dataclass
@@ -107,14 +108,15 @@ def read_evidence(folder: SeriesFolder) -> Evidence:
         flight = SeriesFlight(name, path, outcome="completed")
         found.flights.append(flight)
         try:
-            found.hits.append(_read_drop(path, name, trial, folder))
+            found.hits.append(read_drop(path, name, trial, folder))
         except InputError as error:
             flight.problem = error.message
     sort_hits(found, settings)
     return found
 
 
-def _read_drop(path: Path, name: str, drop: DropTrial, folder: SeriesFolder) -> SeriesHit:
+def read_drop(path: Path, name: str, drop: DropTrial, folder: SeriesFolder) -> SeriesHit:
+    """Measure the impact of a recorded drop."""
     mass_kg, settings = folder.mission().vehicle.airframe.mass_kg, folder.settings
     reading = TrialReading(
         mode=drop.mode.value,
@@ -135,6 +137,22 @@ def _read_drop(path: Path, name: str, drop: DropTrial, folder: SeriesFolder) -> 
     excluded = [one.why for one in settings.excluded if (one.flight, one.hit) == (name, 1)]
     hit.aside = f"excluded: {excluded[0]}" if excluded else ""
     return hit
+
+
+def refuse_foreign(log: Log, folder: SeriesFolder) -> None:
+    """Raise InputError if a flight has no hit on the wall of the series, or is of another vehicle."""
+    wall, mission = folder.settings.wall, flown_mission(log.about, log.source)
+    if not any(one.wall == wall for one in verdict_of(log).collisions):
+        raise InputError(f"the flight has no hit on wall {wall}", source=log.source)
+    refuse_other_vehicle(mission.vehicle, folder.mission().vehicle, log.source)
+
+
+def refuse_other_vehicle(vehicle: VehicleConfig, own: VehicleConfig, source: str) -> None:
+    """Raise InputError if the masses of two configurations are not those of the same vehicle."""
+    mass_kg, own_kg = vehicle.airframe.mass_kg, own.airframe.mass_kg
+    if abs(mass_kg / own_kg - 1.0) > _OTHER_VEHICLE:
+        text = f"is another vehicle: its mass is {mass_kg:g} kg, that of the series' vehicle {own_kg:g} kg"
+        raise InputError(text, source=source)
 
 
 def sort_hits(evidence: Evidence, settings: SeriesSettings) -> None:

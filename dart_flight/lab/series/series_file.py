@@ -17,7 +17,14 @@ from msgspec import Meta
 
 from dart_flight.base.errors import FlightError
 from dart_flight.base.records import Mode
-from dart_flight.config.document import Document, InputError, read_text, replace_file, report_write_errors
+from dart_flight.config.document import (
+    Document,
+    InputError,
+    read_text,
+    replace_file,
+    report_write_errors,
+    unknown_name,
+)
 from dart_flight.config.edit import update_text
 from dart_flight.config.held_files import HeldError, HeldFile, program_name
 from dart_flight.config.mission import Mission, load_empty_room, load_mission
@@ -122,8 +129,14 @@ class SeriesFolder:
     def mission(self) -> Mission:
         """Return the mission of the room (for drops, an empty room), with the vehicle of the series."""
         if self.settings.heights_m is not None:
-            return load_empty_room(self.config)
-        return load_mission(self.path / _MISSION, self.config)
+            mission = load_empty_room(self.config)
+            known = list(mission.vehicle.materials)
+        else:
+            mission = load_mission(self.path / _MISSION, self.config)
+            known = [wall.name for wall in mission.flat_walls]
+        if self.settings.wall not in known:
+            raise InputError(unknown_name(self.settings.wall, known), source=str(self._file), key=("wall",))
+        return mission
 
     @property
     def config(self) -> Path | None:
@@ -211,7 +224,12 @@ def create_series(path: Path, mission: Path | None, settings: SeriesSettings) ->
     has no mission.
     """
     if (path / SETTINGS).exists():
-        raise InputError("a series exists here already", source=str(path / SETTINGS))
+        text = (
+            "a series exists here already: continue it with `dart-flight series next`, or name a new folder"
+        )
+        raise InputError(text, source=str(path / SETTINGS))
+    if mission is not None and (path / _MISSION).exists():
+        raise InputError("exists and is not of a series: name a new folder", source=str(path / _MISSION))
     refuse_impossible(settings, Document.from_tree(msgspec.to_builtins(settings), str(path / SETTINGS)))
     if mission is not None:
         tree = {key: value for key, value in Document.load(mission).tree.items() if key != "vehicle"}
@@ -273,6 +291,10 @@ def _write(path: Path, text: str) -> None:
 
 
 def _copy(recording: Path, target: Path) -> None:
+    try:
+        data = recording.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read: {error.strerror}", source=str(recording)) from None
     with report_write_errors(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(target, recording.read_bytes())
+        replace_file(target, data)

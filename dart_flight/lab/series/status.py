@@ -56,11 +56,6 @@ class Coefficient(msgspec.Struct, frozen=True):
     aim: float | None
     more_hits: int | None
 
-    @property
-    def half(self) -> float:
-        """Half the width of the logarithm's whole interval."""
-        return 0.5 * math.log(self.whole.high / max(self.whole.low, 1e-6))
-
 
 class HeldOutPrediction(msgspec.Struct, frozen=True):
     """A hit that was held out: predicted by the fit of the others, and measured."""
@@ -105,8 +100,17 @@ class ModeStatus(msgspec.Struct, frozen=True):
 
     @property
     def fit(self) -> ModeFit:
-        known = [Known(self.coefficients[n].whole.value, self.coefficients[n].half) for n in FITTED]
-        return ModeFit(known[0], known[1], known[2], self.coefficients["nu"].whole.value)
+        """What the plan of the next hits may rely on: the intervals with allowance."""
+        return self._fit([self.coefficients[n].whole for n in FITTED])
+
+    @property
+    def statistical_fit(self) -> ModeFit:
+        """What more hits improve: the statistical intervals."""
+        return self._fit([self.coefficients[n].statistical for n in FITTED])
+
+    def _fit(self, found: list[Estimate]) -> ModeFit:
+        k, f, mu = (Known(e.value, 0.5 * math.log(e.high / max(e.low, 1e-6))) for e in found)
+        return ModeFit(k, f, mu, self.coefficients["nu"].whole.value)
 
 
 class SeriesStatus(msgspec.Struct, frozen=True):

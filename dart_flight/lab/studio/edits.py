@@ -60,7 +60,7 @@ def drag(handle: str, position: Vec2, yaw_rad: float | None = None) -> Edit:
         if abs(math.remainder(yaw_rad - before, 2.0 * math.pi)) > math.radians(0.05):
             turn_wall(handle, round(math.degrees(yaw_rad), 1)).change(tree)
 
-    return Edit(moved.what, change)
+    return Edit(f"turn {describe(handle)}", change)
 
 
 def set_value(key: Key, value: Any) -> Edit:

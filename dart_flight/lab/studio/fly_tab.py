@@ -31,7 +31,7 @@ class FlyTab:
     """The controls, in the present container of the page.
 
     Attributes:
-        landed: the flights so far; after the last, the failed ones first.
+        landed: the flights so far; after the last, the failed ones first. A refused request keeps them.
         play, clear: play the flight of a log, and remove it; the studio sets them.
     """
 
@@ -41,6 +41,9 @@ class FlyTab:
         self.clear: Callable[[], None] = lambda: None
         self._number = self._again = 0  # of the request, and of that for one flight again, with a log
         self._flown: tuple[str, Path, FlyRequest] | None = None  # text, file and request of the flights
+        self._asked: tuple[str, Path, FlyRequest] | None = None  # the same of flights that have not begun
+        self._is_old = False  # whether the room has changed since
+        self._first = ""  # log of the first recorded flight
         self.landed: list[FlownOne] = []
         gui = page.gui
         if page.editable:
@@ -76,10 +79,7 @@ class FlyTab:
         flights, fault = int(self._flights.value), str(self._fault.value).strip() or None
         # A flight without a log is flown again when it is opened.
         request = FlyRequest(int(self._seed.value), flights, vary, fault, log=flights == 1)
-        self._flown, self.landed = (file.text, file.path, request), []
-        self.clear()
-        self._show_lines()
-        self._choice.visible = self._open.visible = False
+        self._asked = (file.text, file.path, request)
         self._number = engine.fly(file.text, file.path, request)
         self._show_running(True, Progress(0, flights))
 
@@ -97,9 +97,33 @@ class FlyTab:
             elif isinstance(what, Failed):
                 self._page.note(what.message, bad=not what.cancelled)
         elif event.number == self._number and isinstance(what, Progress):
+            if self._asked is not None:
+                self._begin()
             self._add(what)
         elif event.number == self._number and isinstance(what, Failed | AllFlown):
-            self._end(what if isinstance(what, Failed) else None)
+            failed, refused = what if isinstance(what, Failed) else None, self._asked is not None
+            self._asked = None
+            if refused and failed is not None:
+                self._page.note(failed.message, bad=not failed.cancelled)
+                self._show_result()
+            else:
+                self._end(failed)
+
+    def _begin(self) -> None:
+        """Replace the flights before."""
+        self._flown, self._asked, self._is_old, self.landed = self._asked, None, False, []
+        self.clear()
+        self._show_lines()
+        self._choice.visible = self._open.visible = False
+
+    def show_room(self, text: str) -> None:
+        """Show whether the flights were flown in the room of this text; draw their lines only there."""
+        is_old = self._flown is not None and self._flown[0] != text
+        if is_old != self._is_old:
+            self._is_old = is_old
+            self._show_lines()
+            if not self._bar.visible:
+                self._show_result()
 
     def _add(self, what: Progress) -> None:
         self.landed += what.landed
@@ -119,11 +143,25 @@ class FlyTab:
     def _end(self, failed: Failed | None = None) -> None:
         """Show the result, and the list with the failed flights first."""
         self.landed.sort(key=lambda flight: (flight.outcome == "completed", flight.seed))
+        landed = self.landed
+        if landed:
+            self._choice.options = distinct(map(_label, landed))
+            playing = [i for i, flight in enumerate(landed) if flight.log == self._first]
+            self._choice.value = self._choice.options[playing[0] if playing else 0]
+        self._choice.visible = self._open.visible = len(landed) > 1
+        self._show_result(failed)
+        if len(landed) == 1 and self._page.editable:
+            self.open_flight(landed[0])
+        self._show_lines()
+
+    def _show_result(self, failed: Failed | None = None) -> None:
         landed, completed = self.landed, self._completed()
         self._show_running(False, Progress(len(landed), None))
         lines = list[str]()
         if failed is not None:
             lines.append(line(failed.message, QUIET if failed.cancelled else NO_GO))
+        if self._is_old and landed:
+            lines.append(line("flown before the room was changed", QUIET))
         if len(landed) == 1:
             lines.append(line(_label(landed[0])))
         elif landed:
@@ -132,19 +170,12 @@ class FlyTab:
             causes = Counter(cause_of(flight.reason) for flight in landed if flight.reason is not None)
             lines += [line(f"{count} × {cause}", NO_GO) for cause, count in causes.most_common()]
         self._html.content = block(*lines)
-        if landed:
-            self._choice.options = distinct(map(_label, landed))
-            self._choice.value = self._choice.options[0]
-        self._choice.visible = self._open.visible = len(landed) > 1
-        if len(landed) == 1 and self._page.editable:
-            self.open_flight(landed[0])
-        elif len(landed) > 1:
-            self._show_lines()
 
     # --- recorded flights -----------------------------------------------------------------------------------
 
     def read(self, logs: list[Path]) -> None:
-        """Show recorded flights as a list; they are read one after the other."""
+        """Show recorded flights as a list; they are read one after the other, while the first one plays."""
+        self._first = str(logs[0])
         for log in logs:
             self._page.in_background(partial(flown_from, log), partial(self._add_read, len(logs)))
 
@@ -177,7 +208,7 @@ class FlyTab:
         radius_m = 0.0 if self._page.scene is None else 0.008 * self._page.scene.size_m
         for outcome, colour in _COLOURS.items():
             flights = [f for f in self.landed if f.outcome == outcome and len(f.path) > 1]
-            if flights:
+            if flights and len(self.landed) > 1 and not self._is_old:
                 lines = np.concatenate([np.stack([f.path[:-1], f.path[1:]], axis=1) for f in flights])
                 nodes.append(segments(f"/flights/{outcome}", lines, colour, 1.0))
                 props = {

@@ -133,13 +133,17 @@ def playback_of(flight: RecordedFlight) -> Playback | None:
         _scaled(data["speed"], 1e-2),
         [(1e-3 * at, name) for at, name in data["phases"]],
         [(1e-3 * at, name) for at, name in data["lock"]],
-        [(1e-3 * act["t"], f"{act['rule']}: {act['action']}") for act in data["guard"]],
+        [(1e-3 * act["t"], f"{act['rule']}: {_action(act['action'])}") for act in data["guard"]],
         [(1e-3 * at, (1e-3 * x, 1e-3 * y, 1e-3 * z)) for at, x, y, z in data["setpoints"]],
         _scaled(data["force"]["t"], 1e-3),
         np.stack([_scaled(data["force"][axis], 0.1) for axis in "xy"], axis=1),
         [_played(flight, impact) for impact in flight.impacts],
         _lock_chart(flight, time_s) if data["hasLock"] else None,
     )
+
+
+def _action(name: str) -> str:
+    return "the action stays" if name == "none" else name.replace("_", " ")
 
 
 def outcome_line(outcome: str, reason: str | None) -> str:

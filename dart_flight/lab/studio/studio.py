@@ -149,6 +149,7 @@ class Studio:
         if file is not self._shown_file:
             self._shown_file, self._disk, self.checked = file, None, None
         self._number = page.engine.check(file.text, file.path)
+        self.flights.show_room(file.text)
         try:
             scene = build_scene(file.text, file.path)
         except InputError as error:

@@ -29,7 +29,7 @@ _NARROW = (
     "<style>@media (max-width:36em){.mantine-ScrollArea-root[style*='position: fixed'],"
     ".mantine-ScrollArea-root[style*='position: fixed'] [style*='width: 20em']{width:100%!important}}</style>"
 )
-_SETTLED_S = 0.25  # a typed number is complete after so long without a further key
+_SETTLED_S = 0.6  # a typed number is complete after so long without a further key
 
 
 class StudioPage:

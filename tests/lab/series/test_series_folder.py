@@ -19,7 +19,7 @@ from dart_flight.cli import main
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.material_history import history_path, newest_entry, read_history
 from dart_flight.config.mission import load_mission
-from dart_flight.config.vehicle import load_vehicle
+from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.core.flight_core import FlightCore
 from dart_flight.lab.identify.body_fit import BodyImpact
 from dart_flight.lab.identify.estimates import Estimate
@@ -143,7 +143,7 @@ def test_a_killed_flight_is_named_and_the_next_batch_follows(
     ("options", "command", "passed_on"),
     [
         ([], "fly", []),
-        (["--dry-run", "--speed", "max"], "dry-run", ["--speed", "max"]),
+        (["--dry-run", "--speed", "max"], "dry-run", ["--speed", "max", "--seed", "1"]),
         (["--fast", "--seed", "3"], "dry-run", ["--fast", "--seed", "3"]),
         (["--connection", "udpin://0.0.0.0:14540"], "fly", ["--connection", "udpin://0.0.0.0:14540"]),
     ],
@@ -166,6 +166,48 @@ def test_a_batch_is_flown_by_the_command_of_its_world(
     (call,) = calls
     assert call[3] == command
     assert call[call.index("--log-dir") + 2 :] == passed_on
+
+
+def test_a_file_of_another_use_is_not_overwritten(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    mine = Path("own/mission.yaml")
+    mine.parent.mkdir()
+    mine.write_text("mine\n")
+    said = refusal_of("series", "new", "own", "--mission", MISSION, "--wall", "acrylic")
+    assert "own/mission.yaml: exists and is not of a series" in said
+    assert mine.read_text() == "mine\n"
+
+
+def test_a_mistyped_wall_in_the_settings_is_named(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    settings = series.path / "series.yaml"
+    settings.write_text(settings.read_text().replace("wall: acrylic", "wall: acrilyc"))
+    for action in ("status", "next", "fly"):
+        assert "unknown acrilyc" in refusal_of("series", action, SERIES)
+
+
+def test_a_missing_recording_is_named_by_its_own_path(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    assert "nowhere/flight.mcap" in refusal_of("series", "add", SERIES, "nowhere/flight.mcap")
+
+
+def test_the_configuration_to_write_is_named(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    assert "--config: name the configuration to write" in refusal_of("series", "apply", SERIES)
+
+
+def test_coefficients_are_not_written_for_another_vehicle(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
+    config = packaged("configs") / "rigid_cage.yaml"
+    assert "is another vehicle: its mass is" in refusal_of("series", "apply", SERIES, "--config", config)
+
+
+def test_a_failed_flight_leaves_its_error_as_the_last_line(
+    series: SeriesFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        return subprocess.CompletedProcess(call, 2)
+
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fail)
+    assert main(["series", "fly", SERIES]) == 2
+    out, err = capsys.readouterr()
+    assert "the flight is in" not in err
+    assert "hits used" not in out
 
 
 def test_a_batch_is_flown_in_one_world(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811

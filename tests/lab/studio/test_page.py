@@ -19,6 +19,7 @@ pytest.importorskip("viser", reason="the page of the studio needs viser (extra s
 sync_api = pytest.importorskip("playwright.sync_api", reason="the tests of the page need playwright")
 
 from dart_flight.config.vehicle import packaged  # noqa: E402
+from dart_flight.lab.studio import edits  # noqa: E402
 from dart_flight.lab.studio.open_file import OpenFile  # noqa: E402
 from dart_flight.lab.studio.scene_model import WallShape  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
@@ -157,9 +158,9 @@ def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, roo
         file = at.studio.page.file
         assert file is not None
         wall = wall_of(at, "acrylic")
-        begin = grip_of(at, wall)
-        beside = at.pixel_of(-0.8, 0.0, 1.0)[0] - at.pixel_of(0.0, 0.0, 1.0)[0]
         for _ in range(_DRAGS):
+            begin = grip_of(at, wall)
+            beside = at.pixel_of(-0.8, 0.0, 1.0)[0] - at.pixel_of(0.0, 0.0, 1.0)[0]
             at.drag(begin, (begin[0] + beside, begin[1]))
             if happens(lambda: file.is_changed):
                 break
@@ -267,6 +268,14 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
         assert len(at.studio.flights.landed) == 4
         at.button("Open this flight").click()
         until(lambda: at.studio.player.flight is not None)
+        at.studio.page.post(at.studio.page.apply, edits.move("start", (1.6, 0.0)))  # in front of the wall
+        at.wait_for("flown before the room was changed")
+        at.wait_for(re.compile("^no-go|^error"))
+        at.button("Fly").click()
+        at.wait_for(re.compile("start is|start.position_m|blocks"))
+        assert len(at.studio.flights.landed) == 4
+        at.button("Undo").click()
+        at.page.get_by_text("flown before the room was changed").wait_for(state="hidden")
         at.number("flights").fill("1000")
         at.button("Fly").click()
         at.wait_for(re.compile("of 1000 flights"))

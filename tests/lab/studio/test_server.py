@@ -3,10 +3,12 @@
 import asyncio
 import contextlib
 import http.client
+import os
 import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,11 +19,14 @@ websockets = pytest.importorskip("websockets")
 
 import viser  # noqa: E402
 
+from dart_flight.base.signals import REPEAT_S  # noqa: E402
 from dart_flight.cli import main  # noqa: E402
 from dart_flight.config.document import InputError  # noqa: E402
 from dart_flight.config.mission import load_mission  # noqa: E402
+from dart_flight.lab.studio import edits  # noqa: E402
 from dart_flight.lab.studio.page_server import LOCAL, open_server, stop_server  # noqa: E402
 from dart_flight.lab.studio.scene_page import mission_scene  # noqa: E402
+from dart_flight.lab.studio.studio import Studio  # noqa: E402
 from dart_flight.run.fast import fly_fast  # noqa: E402
 from tests.lab.studio.files import DUAL  # noqa: E402
 
@@ -149,3 +154,18 @@ def test_ctrl_c_ends_the_page_as_soon_as_it_is_served(tmp_path: Path) -> None:
         assert page.stderr is not None
         assert "forced exit" not in page.stderr.read()
     assert page.returncode == 0
+
+
+def test_ctrl_c_asks_before_edits_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = list[str]()
+
+    def act(studio: Studio) -> None:
+        studio.page.open_file().edit(edits.move("start", (0.1, 0.0)))
+        for _ in range(2):
+            time.sleep(2.0 * REPEAT_S)
+            os.kill(os.getpid(), signal.SIGINT)
+            said.append(f"{studio._stopped.is_set()}")
+
+    monkeypatch.setattr(Studio, "run", lambda studio: (act(studio), studio.close()))
+    assert main(["studio", str(DUAL), "--port", "0", "--no-browser"]) == 0
+    assert said == ["False", "True"]
