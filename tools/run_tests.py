@@ -1,13 +1,13 @@
 """`make test` and `make test-rest`; each test runs in one of these two commands.
 
-    python -m tools.run_tests          lint, types, and the tests that are not marked realtime, px4 or rest
-    python -m tools.run_tests --rest   the tests that are marked realtime, px4 or rest
+    python -m tools.run_tests          lint, types, and the tests without a mark of the next line
+    python -m tools.run_tests --rest   the tests that are marked realtime, browser, px4 or rest
     python -m tools.run_tests --list   print the pytest commands of `make test` and `make test-rest`
 
 Real-time tests run first and alone. If such a test exceeds a time limit while the computer is busy, it counts
-as skipped; if it fails, it runs once more without the others, because the computer may have suspended one
-process only. All other tests run in simulated time and pass at any load. Types are checked in parallel.
-Ctrl-C ends everything.
+as skipped. If a real-time test or a test in the browser fails, it runs once more without the others, because
+the computer may have suspended one process only. All other tests run in simulated time and pass at any load.
+Types are checked in parallel. Ctrl-C ends everything.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from typing import IO
 IN_BACKGROUND, THE_REST, LIST = "--behind", "--rest", "--list"
 _PATIENCE_S = 20.0
 LINT = ("ruff format --check .", "ruff check .")
-REST = "realtime or px4 or rest"
+REST = "realtime or browser or px4 or rest"
 
 
 def _files_with(mark: str) -> str:
@@ -41,13 +41,19 @@ def _files_with(mark: str) -> str:
 TESTS = (f"pytest -m 'not ({REST})' -n auto --dist worksteal -rs",)
 # Use three workers, because these tests mostly wait.
 REAL_TIME = f"pytest -m 'realtime and not px4' -n 3 --dist worksteal -rs {_files_with('realtime')}"
-AGAIN = REAL_TIME.replace("-n 3 --dist worksteal", "-n 0 --last-failed --last-failed-no-failures none")
+BROWSER = f"pytest -m browser -n 2 --dist worksteal -rs {_files_with('browser')}"
+REPEATED = (REAL_TIME, BROWSER)
 REST_TESTS = (
-    REAL_TIME,
+    *REPEATED,
     f"pytest -m 'rest and not realtime and not px4' -n auto --dist worksteal -rs {_files_with('rest')}",
     "pytest -m px4 -rs tests/px4",
 )
 TYPES = ("mypy",)
+
+
+def again(command: str) -> str:
+    """Return the command that runs what failed once more, one test after the other."""
+    return re.sub(r"-n \d --dist worksteal", "-n 0 --last-failed --last-failed-no-failures none", command)
 
 
 def run(commands: Sequence[str]) -> bool:
@@ -119,8 +125,10 @@ def main(arguments: Sequence[str]) -> int:
             print(*TESTS, *REST_TESTS, sep="\n")
             good = True
         elif arguments == [THE_REST]:
-            good = run([REAL_TIME]) or run([AGAIN])
-            good &= run(REST_TESTS[1:])
+            good = True
+            for tests in REPEATED:
+                good &= run([tests]) or run([again(tests)])
+            good &= run(REST_TESTS[len(REPEATED) :])
         else:
             good = run(LINT) and run_both(TESTS, TYPES)
     except KeyboardInterrupt:

@@ -53,13 +53,21 @@ def _mode(mode: Mode, one: ModeStatus, mission: Mission, evidence: Evidence) -> 
         for name, c in one.coefficients.items()
     ]
     held: list[Row] = [
-        [p.hit, -p.normal_m_s, p.peak_n, p.peak_measured_n, p.out_m_s, p.out_constant_m_s, p.out_measured_m_s]
+        [p.hit, -p.normal_m_s, p.peak_measured_n, p.peak_n, p.out_measured_m_s, p.out_m_s, p.out_constant_m_s]
         for p in one.held_out.hits
     ]
     hits = [hit for hit in evidence.hits if hit.mode is mode and hit.measured is not None and not hit.aside]
     drawn = [picture(_figure(one, mission, hits))] if hits else []
     heads = ("", "value", "low", "high", "statistical ±", "aim ±", "from the prior")
-    of_held = ("hit", "normal m/s", "peak N", "measured", "out m/s", "constant restitution", "measured")
+    of_held = (
+        "hit",
+        "in m/s",
+        "peak N",
+        "predicted N",
+        "out m/s",
+        "predicted m/s",
+        "by a constant restitution m/s",
+    )
     return {
         "name": mode.value,
         "flown": one.flown,
@@ -67,7 +75,10 @@ def _mode(mode: Mode, one: ModeStatus, mission: Mission, evidence: Evidence) -> 
         "coefficients": PageTable(heads, coefficients),
         "held_out": PageTable(of_held, held),
         "errors": one.held_out,
-        "figures": [(one, f"{mode.value}: the law (line) and the hits") for one in drawn],
+        "figures": [
+            (one, f"{mode.value}: the law (line) and the hits; below, measured minus predicted")
+            for one in drawn
+        ],
     }
 
 
@@ -112,8 +123,8 @@ def _figure(one: ModeStatus, mission: Mission, hits: list[SeriesHit]) -> Any:
         for hit in hits
         if hit.measured is not None and (found := predict_hit(hit, fitted, mission)) is not None
     ]
-    curves = (law.peak_normal_force_n, "peak force, N"), (law.normal_out_m_s, "outgoing speed, m/s")
-    for column, (curve, words) in enumerate(curves):
+    curves = (law.peak_normal_force_n, "peak force", "N"), (law.normal_out_m_s, "outgoing speed", "m/s")
+    for column, (curve, words, unit) in enumerate(curves):
         top, bottom = axes[0][column], axes[1][column]
         top.plot(line, curve, **PREDICTED, label="law")
         bottom.axhline(0.0, color=GREY, linewidth=0.8)
@@ -128,8 +139,8 @@ def _figure(one: ModeStatus, mission: Mission, hits: list[SeriesHit]) -> Any:
             style = {"color": ESTIMATED["color"], "markersize": 4, **fill}
             top.plot(speeds, values, marker, label=name, **style)
             bottom.plot(speeds, off, marker, **style)
-        top.set(ylabel=words)
-        bottom.set(xlabel="incoming speed, m/s", ylabel="measured - predicted")
+        top.set(ylabel=f"{words}, {unit}")
+        bottom.set(xlabel="incoming, m/s", ylabel=f"off, {unit}")
     legend_above(axes[0][0], 3)
     return figure
 

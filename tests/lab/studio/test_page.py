@@ -23,8 +23,8 @@ from dart_flight.lab.studio import edits  # noqa: E402
 from dart_flight.lab.studio.open_file import OpenFile  # noqa: E402
 from dart_flight.lab.studio.scene_model import WallShape  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
-from dart_flight.lab.studio.studio_page import distinct  # noqa: E402
 
+pytestmark = pytest.mark.browser
 LAUNCH = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 # The browser draws with the processor here: fewer frames leave time for the rest.
 FEW_FRAMES = """{
@@ -186,7 +186,6 @@ def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, roo
     assert changed[0][1] == changed[0][0].replace(b"1.65", b"1.66")
 
 
-@pytest.mark.rest
 def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
     browser: Any, room: Path
 ) -> None:
@@ -211,7 +210,6 @@ def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
         at.button("Reload from the disk").wait_for(state="hidden")
 
 
-@pytest.mark.rest
 def test_two_tabs_show_the_same_room_and_a_closed_or_reloaded_one_keeps_the_edits(
     browser: Any, room: Path
 ) -> None:
@@ -230,7 +228,6 @@ def test_two_tabs_show_the_same_room_and_a_closed_or_reloaded_one_keeps_the_edit
         until(lambda: other.number("x, m").input_value() == "0")
 
 
-@pytest.mark.rest
 def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
@@ -257,7 +254,6 @@ def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> No
                 at.wait_for(re.compile("100 %"))
 
 
-@pytest.mark.rest
 def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
@@ -283,7 +279,6 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
         at.wait_for("cancelled")
 
 
-@pytest.mark.rest
 def test_a_scenario_is_planned_and_its_mission_saved(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/scenarios/one_wall.yaml"), room / "flights") as at:
         at.tab("Plan")
@@ -298,12 +293,6 @@ def test_a_scenario_is_planned_and_its_mission_saved(browser: Any, room: Path) -
         at.wait_for(re.compile("^scenario"))
 
 
-def test_equal_entries_of_a_menu_are_numbered() -> None:
-    """Two equal ones would stop the whole page."""
-    assert distinct(["a", "b", "a", "a", "a (2)"]) == ("a", "b", "a (2)", "a (3)", "a (2) (2)")
-
-
-@pytest.mark.rest
 def test_a_page_for_other_computers_cannot_edit_plan_or_fly(browser: Any, room: Path) -> None:
     path = room / "missions/dual_collision.yaml"
     with shown(browser, OpenFile.load(path), room / "flights", read_only=True) as at:

@@ -27,6 +27,7 @@ from dart_flight.lab.studio import edits  # noqa: E402
 from dart_flight.lab.studio.page_server import LOCAL, open_server, stop_server  # noqa: E402
 from dart_flight.lab.studio.scene_page import mission_scene  # noqa: E402
 from dart_flight.lab.studio.studio import Studio  # noqa: E402
+from dart_flight.lab.studio.studio_page import distinct  # noqa: E402
 from dart_flight.run.fast import fly_fast  # noqa: E402
 from tests.lab.studio.files import DUAL  # noqa: E402
 
@@ -165,7 +166,13 @@ def test_ctrl_c_asks_before_edits_are_lost(monkeypatch: pytest.MonkeyPatch) -> N
             time.sleep(2.0 * REPEAT_S)
             os.kill(os.getpid(), signal.SIGINT)
             said.append(f"{studio._stopped.is_set()}")
+        studio.close()
 
-    monkeypatch.setattr(Studio, "run", lambda studio: (act(studio), studio.close()))
+    monkeypatch.setattr(Studio, "run", act)
     assert main(["studio", str(DUAL), "--port", "0", "--no-browser"]) == 0
     assert said == ["False", "True"]
+
+
+def test_equal_entries_of_a_menu_are_numbered() -> None:
+    """Two equal ones would stop the whole page."""
+    assert distinct(["a", "b", "a", "a", "a (2)"]) == ("a", "b", "a (2)", "a (3)", "a (2) (2)")
