@@ -133,17 +133,17 @@ def page(rows: Sequence[JudgedRow]) -> str:
         table.append(
             [
                 str(row.seed),
-                f"{one.flights}, {one.used} of {one.hits}",
+                f"{one.used}/{one.hits}",
                 "yes" if one.is_complete else "no",
                 *shown,
-                f"{one.last}, {'followed' if one.followed else 'not followed'}",
+                "followed" if one.followed else one.last,
             ]
         )
     heads = (
         "seed",
-        "flights, hits used",
+        "hits used",
         "aims reached",
         *(f"{n}: flexible rigid, %" for n in FITTED),
-        "then",
+        "plan",
     )
-    return f"{markdown(heads, table)}\n\n{inside} of {of} intervals with allowance contain the truth."
+    return f"{markdown(heads, table)}\n{inside} of {of} intervals with allowance contain the truth."
