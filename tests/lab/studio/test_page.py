@@ -32,6 +32,7 @@ FEW_FRAMES = """{
     window.requestAnimationFrame = draw => setTimeout(() => request(draw), 200);
 }"""
 WAIT_MS = 120_000  # on a busy computer
+_TRIES = 4
 _DRAGS = 6  # a slow browser may not have drawn the wall when the mouse is pressed
 
 
@@ -59,6 +60,14 @@ class Shown(NamedTuple):
 
     def button(self, name: str) -> Any:
         return self.page.get_by_role("button", name=name, exact=True)
+
+    def press(self, name: str) -> None:
+        """Click a button; Playwright may wait for ever for two frames of a browser that compiles shaders."""
+        for _ in range(_TRIES):
+            with contextlib.suppress(sync_api.TimeoutError):
+                self.button(name).click(timeout=WAIT_MS / _TRIES)
+                return
+        raise AssertionError(f"the button {name} could not be clicked")
 
     def tab(self, name: str) -> None:
         self.page.get_by_role("tab", name=name, exact=True).click()
@@ -94,7 +103,7 @@ class Shown(NamedTuple):
     def look_from_above(self, tab: str) -> None:
         """Aim the camera again, which a drag beside an object turns, and return to a tab."""
         self.tab("View")
-        self.button("From above").click()
+        self.press("From above")
         self.tab(tab)
 
 
@@ -173,11 +182,11 @@ def test_a_wall_is_moved_with_the_mouse_typed_undone_and_saved(browser: Any, roo
         until(lambda: file.tree["walls"]["acrylic"]["point_m"][0] == 1.6123)
         assert path.read_bytes() == before
         for _ in range(2):
-            at.button("Undo").click()
+            at.press("Undo")
         until(lambda: not file.is_changed)
         at.number("x, m").fill("1.66")
         until(lambda: file.tree["walls"]["acrylic"]["point_m"][0] == 1.66)
-        at.button("Save").click()
+        at.press("Save")
         until(lambda: path.read_bytes() != before)
     changed = [
         (a, b) for a, b in zip(before.splitlines(), path.read_bytes().splitlines(), strict=True) if a != b
@@ -201,10 +210,10 @@ def test_a_changed_file_on_the_disk_is_shown_and_two_changes_are_asked_about(
         until(lambda: "altitude_m: 1.1" in file.text)
         path.write_text("walls: {")  # not YAML any more
         at.wait_for(re.compile("changed on the disk, and here"))
-        at.button("Reload from the disk").click()
+        at.press("Reload from the disk")
         at.wait_for(re.compile("expected|could not find|YAML"))
         assert "altitude_m: 1.1" in file.text  # no edit is lost
-        at.button("Overwrite the file").click()
+        at.press("Overwrite the file")
         at.wait_for(re.compile("^saved"))
         assert "altitude_m: 1.1" in path.read_text()
         at.button("Reload from the disk").wait_for(state="hidden")
@@ -224,25 +233,25 @@ def test_two_tabs_show_the_same_room_and_a_closed_or_reloaded_one_keeps_the_edit
         at.page.close()
         second.reload()
         until(lambda: other.number("x, m").input_value() == "0.25")
-        other.button("Undo").click()
+        other.press("Undo")
         until(lambda: other.number("x, m").input_value() == "0")
 
 
 def test_a_flight_is_flown_and_played_to_its_end(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/single_wall.yaml"), room / "flights") as at:
         at.tab("Fly")
-        at.button("Fly").click()
+        at.press("Fly")
         at.wait_for(re.compile("completed"))
         until(lambda: at.studio.player.flight is not None)
-        at.button("Next hit").click()  # pauses
+        at.press("Next hit")  # pauses
         at.wait_for(re.compile("normal force"))
         hit = at.studio.player.flight.hits[0]  # type: ignore[union-attr]
         until(lambda: abs(at.studio.player.at_s - (hit.at_s - 0.3)) < 0.05)
         at.number("speed").fill("4")
-        at.button("Play").click()
+        at.press("Play")
         end = at.studio.player.flight.time_s[-1]  # type: ignore[union-attr]
         until(lambda: at.studio.player.at_s == end)
-        at.button("Report").click()
+        at.press("Report")
         at.wait_for("open the report")
         (log,) = (room / "flights").glob("*/flight.mcap")
     shutil.copytree(log.parent, room / "again")
@@ -259,37 +268,37 @@ def test_many_flights_are_lines_and_one_of_them_is_opened(browser: Any, room: Pa
         at.tab("Fly")
         at.number("flights").fill("4")
         at.choose("vary", "all")
-        at.button("Fly").click()
+        at.press("Fly")
         at.wait_for(re.compile("4 of 4 flights completed|[0-3] of 4 flights completed:"))
         assert len(at.studio.flights.landed) == 4
-        at.button("Open this flight").click()
+        at.press("Open this flight")
         until(lambda: at.studio.player.flight is not None)
         at.studio.page.post(at.studio.page.apply, edits.move("start", (1.6, 0.0)))  # in front of the wall
         at.wait_for("flown before the room was changed")
         at.wait_for(re.compile("^no-go|^error"))
-        at.button("Fly").click()
+        at.press("Fly")
         at.wait_for(re.compile("start is|start.position_m|blocks"))
         assert len(at.studio.flights.landed) == 4
-        at.button("Undo").click()
+        at.press("Undo")
         at.page.get_by_text("flown before the room was changed").wait_for(state="hidden")
         at.number("flights").fill("1000")
-        at.button("Fly").click()
+        at.press("Fly")
         at.wait_for(re.compile("of 1000 flights"))
-        at.button("Cancel").click()
+        at.press("Cancel")
         at.wait_for("cancelled")
 
 
 def test_a_scenario_is_planned_and_its_mission_saved(browser: Any, room: Path) -> None:
     with shown(browser, OpenFile.load(room / "missions/scenarios/one_wall.yaml"), room / "flights") as at:
         at.tab("Plan")
-        at.button("Plan").click()
-        at.button("Make the mission").click()
+        at.press("Plan")
+        at.press("Make the mission")
         at.wait_for(re.compile("one_wall_plan.yaml"))
         at.wait_for(re.compile("^go$"))
-        at.button("Save").click()
+        at.press("Save")
         at.wait_for(re.compile("^saved"))
         assert (room / "missions/scenarios/one_wall_plan.yaml").exists()
-        at.button("Back to the scenario").click()
+        at.press("Back to the scenario")
         at.wait_for(re.compile("^scenario"))
 
 
