@@ -1,7 +1,7 @@
 """Benchmark of the studio: its page in Chromium, with the browser's drawing (docs/studio.md).
 
 The baseline of the start is `dart-flight --help`, and that of a flight the same flight by `dart-flight
-dry-run --fast`. `python -m tools.bench studio` writes the figures into docs/results/speed.md.
+dry-run --fast`. `python -m tools.bench studio` writes the figures into docs/results/studio.md.
 """
 
 from __future__ import annotations

@@ -287,11 +287,9 @@ def _fly(arguments: argparse.Namespace) -> int:
                 call += [option, one]
     if arguments.config is not None:
         call += ["--config", arguments.config]
+    # With the same seed, the noise of every batch would be the same.
     if simulated and simulated != ["--hitl"] and arguments.seed is None:
-        call += [
-            "--seed",
-            str(int(path.parent.name)),
-        ]  # with the same seed, each batch would have the same noise
+        call += ["--seed", str(int(path.parent.name))]
     before = folder.logs()
     with _interrupts_for_child():
         status = subprocess.run(call, check=False).returncode

@@ -228,12 +228,13 @@ def create_series(path: Path, mission: Path | None, settings: SeriesSettings) ->
             "a series exists here already: continue it with `dart-flight series next`, or name a new folder"
         )
         raise InputError(text, source=str(path / SETTINGS))
-    if mission is not None and (path / _MISSION).exists():
-        raise InputError("exists and is not of a series: name a new folder", source=str(path / _MISSION))
     refuse_impossible(settings, Document.from_tree(msgspec.to_builtins(settings), str(path / SETTINGS)))
     if mission is not None:
         tree = {key: value for key, value in Document.load(mission).tree.items() if key != "vehicle"}
-        _write(path / _MISSION, update_text(read_text(mission), tree, str(mission)))
+        copied, target = update_text(read_text(mission), tree, str(mission)), path / _MISSION
+        if target.exists() and read_text(target) != copied:
+            raise InputError("exists and is not of a series: name a new folder", source=str(target))
+        _write(target, copied)
     # The settings come last: a folder without them is no series, so an interrupted command can be repeated.
     _write(path / SETTINGS, _HEAD + update_text("{}\n", msgspec.to_builtins(settings)))
     return SeriesFolder(path)

@@ -101,9 +101,9 @@ class FlyTab:
                 self._begin()
             self._add(what)
         elif event.number == self._number and isinstance(what, Failed | AllFlown):
-            failed, refused = what if isinstance(what, Failed) else None, self._asked is not None
-            self._asked = None
-            if refused and failed is not None:
+            failed = what if isinstance(what, Failed) else None
+            if failed is not None and self._asked is not None:  # refused before the first flight
+                self._asked = None
                 self._page.note(failed.message, bad=not failed.cancelled)
                 self._show_result()
             else:
@@ -111,7 +111,8 @@ class FlyTab:
 
     def _begin(self) -> None:
         """Replace the flights before."""
-        self._flown, self._asked, self._is_old, self.landed = self._asked, None, False, []
+        self._flown, self._asked, self.landed = self._asked, None, []
+        self.show_room(self._page.open_file().text)  # it may have changed since *Fly*
         self.clear()
         self._show_lines()
         self._choice.visible = self._open.visible = False

@@ -177,6 +177,11 @@ def test_a_file_of_another_use_is_not_overwritten(series: SeriesFolder, refusal_
     assert mine.read_text() == "mine\n"
 
 
+def test_an_interrupted_new_can_be_repeated(series: SeriesFolder) -> None:
+    (series.path / "series.yaml").unlink()  # killed after it had copied the mission
+    assert main(["series", "new", SERIES, "--mission", str(MISSION), "--wall", "acrylic"]) == 0
+
+
 def test_a_mistyped_wall_in_the_settings_is_named(series: SeriesFolder, refusal_of: Refuse) -> None:  # noqa: F811
     settings = series.path / "series.yaml"
     settings.write_text(settings.read_text().replace("wall: acrylic", "wall: acrilyc"))
