@@ -22,8 +22,8 @@ from dart_flight.config.vehicle import Coefficients
 from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.identify.flight_trials import ALLOWANCE
-from dart_flight.lab.identify.next_hits import FITTED
-from dart_flight.lab.series.batch import plan_batch
+from dart_flight.lab.identify.next_hits import FITTED, next_hits
+from dart_flight.lab.series.batch import HitChoice, plan_batch
 from dart_flight.lab.series.evidence import Evidence, SeriesFlight, read_flight, sort_hits
 from dart_flight.lab.series.series_file import SeriesSettings
 from dart_flight.lab.series.status import SeriesStatus, predict_held_out, status_of, wall_material
@@ -66,7 +66,7 @@ class SeriesOutcome(msgspec.Struct, frozen=True):
     out_constant_rms_m_s: float | None
 
 
-def fly_series(point: Point, seed: int) -> SeriesOutcome:
+def fly_series(point: Point, seed: int, choose: HitChoice = next_hits) -> SeriesOutcome:
     """Fly a series of at most 16 hits a mode, then ten hits that its result predicts."""
     mission, wall = point.mission, point.case["wall"]
     settings = SeriesSettings(
@@ -83,7 +83,7 @@ def fly_series(point: Point, seed: int) -> SeriesOutcome:
         if len(verdicts) == 2 * _MOST_HITS // _HITS_PER_FLIGHT + 2:  # a guard may have ended some flights
             break
         try:
-            status = _fly_batch(settings, mission, drawn, evidence, verdicts, seed)
+            status = _fly_batch(settings, mission, drawn, evidence, verdicts, seed, choose)
         except FlightError as error:
             reasons.append(str(error))
             break
@@ -123,11 +123,12 @@ def _fly_batch(
     evidence: Evidence,
     verdicts: list[Verdict],
     seed: int,
+    choose: HitChoice,
 ) -> SeriesStatus:
     """Fly the next batch, add it to evidence and verdicts, and return the state afterwards."""
     number = len(verdicts) + 1
     status = status_of(settings, mission, evidence)
-    batch = plan_batch(settings, mission, status, f"{settings.wall} {number}")
+    batch = plan_batch(settings, mission, status, f"{settings.wall} {number}", choose)
     log = _log_of(batch.mission, settings.wall, drawn, 100 * seed + number)
     verdicts.append(verdict_of(log))
     flight = SeriesFlight(f"{number:02d}/flight", Path(LOG_NAME))

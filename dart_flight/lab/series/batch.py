@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from dart_flight.base.errors import FlightError
+from dart_flight.base.records import Mode
 from dart_flight.base.walls import Wall
 from dart_flight.config.document import Document, InputError
 from dart_flight.config.mission import Mission, parse_mission
-from dart_flight.lab.identify.next_hits import NextHit, next_hits
+from dart_flight.lab.identify.next_hits import ModeFit, NextHit, NextHitLimits, next_hits
 from dart_flight.lab.series.series_file import SeriesSettings
 from dart_flight.lab.series.status import SeriesStatus, hit_limits
 from dart_flight.run.prepare import refuse_unflyable
@@ -18,6 +19,7 @@ from dart_flight.run.prepare import refuse_unflyable
 _HOLD_S: Final = 1.0  # rest before each approach, in which PX4's velocity settles
 _ALPHA: Final = (0.025, 0.025)  # gains of a recovery that leads away from the wall, m/N
 _SLOWER: Final = 0.85  # factor on the largest speed if a batch does not fit into the room
+HitChoice = Callable[[Mapping[Mode, ModeFit], NextHitLimits, int], list[NextHit]]
 _REPLACED: Final = ("predicted", "flown", "goal_trajectory", "collisions", "waypoints", "after_impact")
 
 
@@ -29,10 +31,16 @@ class SeriesBatch(NamedTuple):
     mission: Mission
 
 
-def plan_batch(settings: SeriesSettings, mission: Mission, status: SeriesStatus, name: str) -> SeriesBatch:
+def plan_batch(
+    settings: SeriesSettings,
+    mission: Mission,
+    status: SeriesStatus,
+    name: str,
+    choose: HitChoice = next_hits,
+) -> SeriesBatch:
     """Return the next batch; if the room is too small for a run-up, all hits become slower.
 
-    Modes whose aims are reached are left out, unless all are reached.
+    Modes whose aims are reached are left out, unless all are reached. `choose` chooses the hits.
 
     Raises:
         FlightError: no hit is below the force limit, or the room has no space for any.
@@ -45,7 +53,7 @@ def plan_batch(settings: SeriesSettings, mission: Mission, status: SeriesStatus,
         "limit) by the upper end of the interval: reduce speeds_m_s in series.yaml"
     )
     while limits.fastest_m_s >= limits.slowest_m_s:
-        hits = next_hits(missing or fits, limits, settings.hits_per_flight)
+        hits = choose(missing or fits, limits, settings.hits_per_flight)
         if not hits:
             break
         tree = batch_tree(mission, settings.wall, hits, name, settings.peak_force_n)
