@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -50,7 +51,7 @@ class Operator:
     def __init__(self, places: list[tuple[tuple[float, float, float], float]]) -> None:
         self.motion = CarriedAround()
         self._places = iter(places)
-        self.now_s = lambda: 0.0
+        self.now_s: Callable[[], float] = lambda: 0.0
 
     def readline(self) -> str:
         place, self.motion.swings_m = next(self._places)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -291,8 +289,7 @@ def _fly(arguments: argparse.Namespace) -> int:
     if simulated and simulated != ["--hitl"] and arguments.seed is None:
         call += ["--seed", str(int(path.parent.name))]
     before = folder.logs()
-    with _interrupts_for_child():
-        status = subprocess.run(call, check=False).returncode
+    status = run_child(call)
     new = [log for name, log in folder.logs().items() if name not in before]
     for log in new:
         print_status(f"the flight is in {display_path(log.parent)}")
@@ -303,14 +300,29 @@ def _fly(arguments: argparse.Namespace) -> int:
     return status
 
 
-@contextlib.contextmanager
-def _interrupts_for_child() -> Iterator[None]:
-    """Leave Ctrl-C to the child, which lands the vehicle; the terminal sends it to both."""
-    before = signal.signal(signal.SIGINT, lambda *_: None)
+def run_child(call: list[str]) -> int:
+    """Run a child that lands the vehicle after a signal to stop, and return its status.
+
+    A terminal sends Ctrl-C to both programs. Other signals reach only this program, and are passed on.
+    """
+    child: subprocess.Popen[bytes] | None = None
+    told: list[int] = []
+
+    def pass_on(number: int, _: object) -> None:
+        told.append(number)
+        if child is not None:
+            child.send_signal(number)
+
+    handlers = {signal.SIGINT: lambda *_: None, signal.SIGTERM: pass_on, signal.SIGHUP: pass_on}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
-        yield
+        child = subprocess.Popen(call)
+        for number in told:  # arrived before the child existed
+            child.send_signal(number)
+        return child.wait()
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 # --- status, report, apply --------------------------------------------------------------------------------

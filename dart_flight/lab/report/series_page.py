@@ -30,6 +30,7 @@ def series_page(
     return render(
         "series.html",
         f"Series on {status.wall} ({status.material})",
+        flown=_flown(mission, evidence),
         missing=describe(status),
         changes=status.changes,
         problems=[(flight, ended) for flight, ended in status.flights.items() if ended != "completed"],
@@ -39,6 +40,18 @@ def series_page(
             [_row(hit, logs) for hit in evidence.hits],
         ),
     )
+
+
+def _flown(mission: Mission, evidence: Evidence) -> str:
+    """Return what was flown, with what and when, in one sentence."""
+    source = mission.flown_vehicle()
+    which = Path(source.source).name if source.source else "of the logs"
+    days = sorted(
+        {flight.began.date().isoformat() for flight in evidence.flights if flight.began is not None}
+    )
+    when = f" from {days[0]} to {days[-1]}" if len(days) > 1 else f" on {days[0]}" if days else ""
+    number = len(evidence.flights)
+    return f"{number} flight{'s' * (number != 1)}{when} with the vehicle {which}, {source.mass_kg:g} kg"
 
 
 def _mode(mode: Mode, one: ModeStatus, mission: Mission, evidence: Evidence) -> dict[str, Any]:

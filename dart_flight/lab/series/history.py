@@ -49,7 +49,9 @@ def apply_status(status: SeriesStatus, evidence: Evidence, config: Path, series:
         }
     day = last_day(evidence)
     hits = ", ".join(f"{one.used} hits {mode}" for mode, one in known.items())
-    entry["source"] = f"identified {day}: {hits} (dart-flight series)"
+    kept = sorted({n for one in known.values() for n, c in one.coefficients.items() if c.prior_share == 1.0})
+    unmeasured = f"; {', '.join(kept)} not measured" if kept else ""
+    entry["source"] = f"identified {day}: {hits} (dart-flight series){unmeasured}"
     wanted = {**tree, "materials": {**tree.get("materials", {}), status.material: entry}}
     changed = update_text(text, wanted, str(config))
     load_vehicle(Document(changed, str(config)))  # refuse an invalid result before a file is replaced

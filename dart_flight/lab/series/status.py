@@ -33,6 +33,7 @@ from dart_flight.lab.series.series_file import SeriesSettings
 
 PRIOR_SD: Final = 0.3  # of the logarithms, about the configured coefficients
 PEAK_SHARE: Final = 0.8  # largest planned peak, as a share of the force limit
+FEWEST_HITS: Final = 3  # for an aim: the scatter between hits is not known from fewer
 _MASS_CHANGED = 0.005
 _BATTERY_CHANGED_V = 0.8
 _IMU_MOVED_M = 0.005
@@ -247,7 +248,7 @@ def _coefficient(
     value = math.exp(log)
     more = None
     if measured is not None and aim is not None:
-        more = max(0, math.ceil(hits * ((half / aim) ** 2 - 1.0) - 1e-9))
+        more = max(0, FEWEST_HITS - hits, math.ceil(hits * ((half / aim) ** 2 - 1.0) - 1e-9))
     statistical = Estimate(value, math.exp(log - half), math.exp(log + half))
     whole = Estimate(
         value, max(statistical.low - allowance * value, 0.05 * value), statistical.high + allowance * value

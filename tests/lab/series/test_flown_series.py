@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -78,7 +81,9 @@ def test_a_series_in_simulation_finds_a_stiffer_wall(capfd: pytest.CaptureFixtur
     _, low, high = mode["coefficients"]["k"]["whole"]
     assert low < true_k < high
     assert main(["series", "report", "afternoon"]) == 0
-    assert "set aside: excluded: touched a cable" in Path("afternoon/series.html").read_text("utf-8")
+    page = Path("afternoon/series.html").read_text("utf-8")
+    assert "set aside: excluded: touched a cable" in page
+    assert re.search(r"1 flight on \d{4}-\d\d-\d\d with the vehicle mine.yaml, 1.3 kg", page)
     assert main(["series", "apply", "afternoon", "--config", "mine.yaml"]) == 0
     applied = load_vehicle("mine.yaml").materials["acrylic"].flexible
     assert applied is not None
@@ -99,3 +104,25 @@ def test_a_much_harder_hit_ends_the_batch_and_replays(capfd: pytest.CaptureFixtu
     capfd.readouterr()
     assert main(["series", "next", "afternoon"]) == 0
     assert "batches/02/mission.yaml" in capfd.readouterr().err
+
+
+_CHILD = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+print("up", flush=True)
+signal.pause()
+"""
+_SERIES = """
+import sys
+from dart_flight.lab.commands.series_command import run_child
+sys.exit(run_child([sys.executable, "-c", sys.argv[1]]))
+"""
+
+
+def test_a_signal_to_the_series_reaches_the_flight() -> None:
+    command = [sys.executable, "-c", _SERIES, _CHILD]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as series:
+        assert series.stdout is not None
+        assert series.stdout.readline() == "up\n"
+        series.terminate()
+        assert series.wait(30.0) == 7

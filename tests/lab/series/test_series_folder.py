@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import subprocess
 from datetime import UTC, date, datetime
 from pathlib import Path
 
@@ -126,13 +125,13 @@ def test_a_batch_that_was_not_flown_is_replaced(series: SeriesFolder) -> None:
 def test_a_killed_flight_is_named_and_the_next_batch_follows(
     series: SeriesFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fly(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+    def fly(call: list[str]) -> int:
         log = Path(call[call.index("--log-dir") + 1]) / "killed/flight.mcap"
         log.parent.mkdir(parents=True)
         log.write_bytes(b"\x89MCAP0\r\n")
-        return subprocess.CompletedProcess(call, -signal.SIGKILL)
+        return -signal.SIGKILL
 
-    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fly)
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.run_child", fly)
     assert main(["series", "fly", SERIES, "--fast"]) == 1
     assert "SIGKILL has ended the flight's program; its hits are kept" in capsys.readouterr().err
     assert main(["series", "next", SERIES]) == 0
@@ -157,11 +156,11 @@ def test_a_batch_is_flown_by_the_command_of_its_world(
 ) -> None:
     calls = list[list[str]]()
 
-    def fly(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+    def fly(call: list[str]) -> int:
         calls.append(call)
-        return subprocess.CompletedProcess(call, 0)
+        return 0
 
-    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fly)
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.run_child", fly)
     assert main(["series", "fly", SERIES, *options]) == 0
     (call,) = calls
     assert call[3] == command
@@ -205,10 +204,10 @@ def test_coefficients_are_not_written_for_another_vehicle(series: SeriesFolder, 
 def test_a_failed_flight_leaves_its_error_as_the_last_line(
     series: SeriesFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(call: list[str], **_: object) -> subprocess.CompletedProcess[str]:
-        return subprocess.CompletedProcess(call, 2)
+    def fail(call: list[str]) -> int:
+        return 2
 
-    monkeypatch.setattr("dart_flight.lab.commands.series_command.subprocess.run", fail)
+    monkeypatch.setattr("dart_flight.lab.commands.series_command.run_child", fail)
     assert main(["series", "fly", SERIES]) == 2
     out, err = capsys.readouterr()
     assert "the flight is in" not in err
