@@ -106,3 +106,12 @@ def test_the_figures_of_the_readme_stand_on_the_linked_pages() -> None:
 def test_a_figure_that_is_not_on_the_linked_page_is_found() -> None:
     text = "## Results in simulation\n\n- All [7,654,321](docs/results/force.md) hits.\n"
     assert figures_without_a_page(text) == ["7,654,321"]
+
+
+@pytest.mark.rest
+def test_a_run_without_a_result_is_counted_and_no_fault(tmp_path: Path) -> None:
+    """The wall of seed 9097 has a tenth of the configured stiffness, so the flight ends without a contact."""
+    options = ("--only", "set=wood-all", "--seed", "9097", "--runs", "1", "--out", str(tmp_path / "out"))
+    status, output = python(ROOT, "-m", "tools.campaigns", "contact_fit", *options)
+    assert status == 0
+    assert "Without a result: 1 of 1 runs (no contact 1)." in output

@@ -28,7 +28,7 @@ from dart_flight.lock.servo import ServoFaults
 from dart_flight.recording.verdict import VerdictBuilder
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import grouped, markdown
+from tools.campaigns.results import NoResultError, grouped, markdown
 
 _LONGEST_S = 40.0
 _STUCK = MockFaults(servo=ServoFaults(stuck=True))
@@ -119,7 +119,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
     """Fly until the first contact is evaluated.
 
     Raises:
-        ValueError: there was no contact.
+        NoResultError: there was no contact.
     """
     case = dict(point.case)
     mission, disobeys = mission_of(case, seed)
@@ -145,7 +145,7 @@ def fly(point: Point, seed: int) -> EstimatedContact:
     while flight.core.end is None and flight.autopilot.now_s < _LONGEST_S and not (estimates and contacts):
         flight.tick()
     if not estimates or not contacts:
-        raise ValueError(f"no contact: {flight.core.end}")
+        raise NoResultError("no contact")
     (estimated_us, estimate), contact = estimates[0], contacts[0]
     true, planned = world.mission.walls[0], mission.walls[0]
     x, y, _ = contact.position_mission

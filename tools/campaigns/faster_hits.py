@@ -41,7 +41,7 @@ from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.draws import draw_world
 from dart_flight.sim.px4.installation import ENVIRONMENT
 from tests.watched_flight import WatchedFlight, place_walls, rule_of
-from tools.campaigns.results import causes, grouped, markdown, median_and_most, rate
+from tools.campaigns.results import NoResultError, causes, grouped, markdown, median_and_most, rate
 
 _FRICTION_RATIO = 0.5  # the law of friction is assumed valid up to this ratio of friction to normal force
 _WALL_M, _BACK_M = 3.0, 2.0
@@ -75,7 +75,7 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
     """Return a flight from rest into a wall at given speeds, and back to rest.
 
     Raises:
-        ValueError: the planner finds no trajectory.
+        NoResultError: the planner finds no trajectory.
     """
     vehicle = shipped_vehicle()
     wall = Wall("wall", (_WALL_M, 0.0), (-1.0, 0.0), 8.0, "acrylic", half_vehicle_m=0.2)
@@ -104,7 +104,7 @@ def mission_of(mode: str, normal_m_s: float, tangential_m_s: float, touch_m_s: f
         )
     )
     if found is None:
-        raise ValueError(f"no trajectory at {normal_m_s} and {tangential_m_s} m/s, {mode}")
+        raise NoResultError(f"no trajectory at {normal_m_s} and {tangential_m_s} m/s, {mode}")
     tree: dict[str, Any] = {
         "version": 1,
         "name": "faster_hit",

@@ -19,7 +19,7 @@ from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.lab.identify.fit import identify
 from dart_flight.lab.identify.trials import Trial
 from tests.doubles.synthetic_trials import MASS_KG, drop_trial, wall_trial
-from tools.campaigns.results import grouped, markdown
+from tools.campaigns.results import NoResultError, grouped, markdown
 
 _SPEEDS = {"3 hits at 1.0 m/s": (1.0, 1.0, 1.0)}
 _FULL = "hits with track and height"
@@ -52,7 +52,7 @@ def identify_set(point: Point, seed: int) -> Identified:
     """Identify one set.
 
     Raises:
-        ValueError: a coefficient is not determined.
+        NoResultError: a coefficient is not determined.
     """
     kind, mode = point.case["trials"], point.case["mode"]
     surface = "concrete" if "drops" in kind else "acrylic"
@@ -63,7 +63,7 @@ def identify_set(point: Point, seed: int) -> Identified:
     for name in ("k", "f", "mu", "nu") if kind == _FULL else ("k", "f"):
         estimate = found[name]
         if estimate is None:
-            raise ValueError(f"{name} is not determined")
+            raise NoResultError(f"{name} is not determined")
         identified[name] = (estimate.value, estimate.low, estimate.high, float(getattr(truth, name)))
     return Identified(identified)
 

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from dart_flight.base.errors import FlightError
 from dart_flight.base.summary import wilson
 from dart_flight.config.document import InputError
 from dart_flight.lab.campaign.flight_job import JudgedRow
@@ -25,6 +26,10 @@ _MEASURED = re.compile(
     r"(?:M|Kept: m)easured on (?P<date>[\d-]+)\s+by\s+`(?P<command>[^`]+)`\s+at\s+commit\s+"
     r"(?P<commit>[0-9a-f]+)(?:[^\n]*\((?P<duration>[\d.]+ (?:s|min|h))\))?"
 )
+
+
+class NoResultError(FlightError):
+    """A run without a result is no fault of the program; the page counts it with this reason."""
 
 
 class Measurement(NamedTuple):
@@ -61,6 +66,15 @@ def rate(count: int, total: int, digits: int = 0) -> str:
 def causes(names: Iterable[str]) -> str:
     """Return the rules that ended flights, the most frequent first."""
     return ", ".join(f"`{name}` {count}" for name, count in Counter(names).most_common()) or "-"
+
+
+def without_result(errors: Sequence[str], runs: int) -> tuple[str, list[str]]:
+    """Return a sentence about the runs without a result, and the errors of the program."""
+    begin = f"{NoResultError.__name__}: "
+    reasons = [error.removeprefix(begin).rsplit(" (", 1)[0] for error in errors if error.startswith(begin)]
+    counted = ", ".join(f"{reason} {count}" for reason, count in Counter(reasons).most_common())
+    sentence = f"Without a result: {len(reasons)} of {runs} runs ({counted})." if reasons else ""
+    return sentence, [error for error in errors if not error.startswith(begin)]
 
 
 def median_and_most(

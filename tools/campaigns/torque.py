@@ -32,7 +32,7 @@ from dart_flight.lab.campaign.campaign_spec import Point
 from dart_flight.lab.campaign.flight_job import JudgedRow
 from dart_flight.run.fast import FastFlight
 from dart_flight.sim.draws import draw_world
-from tools.campaigns.results import markdown
+from tools.campaigns.results import NoResultError, markdown
 
 _AFTER_US = 60_000
 _LONGEST_S = 30.0
@@ -97,7 +97,7 @@ def fly(point: Point, seed: int) -> BodyHit:
     """Fly until the end of the first contact.
 
     Raises:
-        ValueError: there was no contact.
+        NoResultError: there was no contact.
     """
     mission = drawn_mission(point.mission, seed)
     world = draw_world(mission, seed, SETS[point.case["set"]])
@@ -157,12 +157,12 @@ class _ContactRecords:
 def _evaluate(planned: Mission, true: Mission, records: _ContactRecords) -> BodyHit:
     onset, peak, attitude = records.onset, records.peak, records.onset_attitude
     if onset is None or peak is None or attitude is None or not records.bodies:
-        raise ValueError("no contact")
+        raise NoResultError("no contact")
     body = records.bodies[-1]
     # A rotating vehicle may touch again with its other side within one impact.
     near = [c for c in records.contacts if c.t_us <= body.t_us and c.end_us >= onset.first_us - 20_000]
     if not near:
-        raise ValueError("no true contact")
+        raise NoResultError("no true contact")
     yaw = planned.frame_at((0.0, 0.0, 0.0)).yaw_from_ned(yaw_ned_of(attitude.q_frd_to_ned))
     inside = [t for t in records.torques if onset.first_us <= t.t_us <= body.t_us]
     factor = true.vehicle.airframe.mass_kg / planned.vehicle.airframe.mass_kg
