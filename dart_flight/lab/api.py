@@ -61,8 +61,8 @@ def load_vehicle(path: Written | None = None, settings: Sequence[str] = ()) -> V
     """Load a vehicle configuration; the method `replace({"airframe.mass_kg": 1.5})` returns a modified copy.
 
     Args:
-        path: a file, or a mapping with its content. Default: $DART_FLIGHT_CONFIG, then
-            ./configs/dart.yaml or the only file in ./configs, then the packaged configuration.
+        path: a file, or a mapping with its content. Default: the file that a command would use
+            (docs/configuration.md).
         settings: `KEY=VALUE` settings that override keys of the configuration, as with `--set`.
 
     Raises:

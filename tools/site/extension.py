@@ -20,6 +20,9 @@ import dart_flight
 from tools.site import search_index
 
 _QUOTED = re.compile(r"(?<!`)`([^`]+)`(?!`)(\w?)")
+_SHARED = re.compile(
+    r"^( +)((?:\w+, )+\w+): (.+(?:\n\1 +\S.*)*)", re.MULTILINE
+)  # `a, b: text` of two attributes
 _PAGE = re.compile(r"\bdocs/([\w/]+)\.md\b")
 
 
@@ -75,8 +78,14 @@ def convert_docstring(
     app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
 ) -> None:
     """Convert backticks into code or links to classes of the reference, and names of pages into links."""
-    text = _QUOTED.sub(_quote, "\n".join(lines).replace("|", "\\|"))
+    text = _SHARED.sub(_split, "\n".join(lines))
+    text = _QUOTED.sub(_quote, text.replace("|", "\\|"))
     lines[:] = _PAGE.sub(r":doc:`\1`", text).splitlines()
+
+
+def _split(found: re.Match[str]) -> str:
+    indent, names, text = found.groups()
+    return "\n".join(f"{indent}{name}: {text}" for name in names.split(", "))
 
 
 def _quote(found: re.Match[str]) -> str:

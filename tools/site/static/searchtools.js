@@ -5,7 +5,9 @@
 const COMMON = new Set(
   "a an and are as at by can do does for from mean means how i in is it its my of on or s the there this to use what when which with".split(" "),
 );
+const FOR_DEVELOPERS = /^(extending|architecture|mission_phases|reference)\.html/;  // rank a little lower
 const wordsIn = (text) => text.toLowerCase().match(/[\p{L}\p{N}_]+/gu) || [];
+const withParts = (words) => words.flatMap((word) => (word.includes("_") ? [word, ...word.split("_")] : [word]));
 const stem = (word) => (word.length > 4 && !word.includes("_") ? word.replace(/(ing|ed|es|s|e)$/, "") : word);
 
 const Search = {
@@ -13,7 +15,7 @@ const Search = {
     this.sections = sections.map(([address, page, title, lines]) => ({
       address, page, title, lines,
       head: wordsIn(title === page ? title : `${title} ${page}`),
-      body: wordsIn(`${address.split("#")[0].replace(/\.html$|\//g, " ")} ${lines.join(" ")}`),
+      body: withParts(wordsIn(`${address.split("#")[0].replace(/\.html$|\//g, " ")} ${lines.join(" ")}`)),
     }));
     const input = document.querySelector(".sidebar-search");
     input.value = new URLSearchParams(location.search).get("q") || "";
@@ -37,7 +39,7 @@ const Search = {
     return this.sections
       .map((section, n) => ({
         section, wanted,
-        score: counts[n].reduce((sum, count, i) => sum + rarity[i] * (count && 3 + Math.log2(1 + count)), 0),
+        score: (FOR_DEVELOPERS.test(section.address) ? 0.8 : 1) * counts[n].reduce((sum, count, i) => sum + rarity[i] * (count && 3 + Math.log2(1 + count)), 0),
       }))
       .filter(({ score }) => score)
       .sort((a, b) => b.score - a.score);
@@ -52,7 +54,7 @@ const Search = {
     heading.textContent = "Search";
     const status = document.createElement("p");
     status.textContent = !query.trim() ? "Type words into the search box."
-      : results.length ? "" : "No section has these words.";
+      : results.length ? "" : "No section has these words. Try another word for it, or the list of tasks on the first page.";
     document.getElementById("search-results").replaceChildren(heading, status, list);
   },
 
@@ -66,6 +68,9 @@ const Search = {
       .filter(({ score }) => score)
       .sort((a, b) => b.score - a.score || a.place - b.place)
       .slice(0, 2);
+    // The browser scrolls to the line itself, such as a row of a long table, if it can.
+    const start = best.length ? best[0].line.split(" | ")[0].slice(0, 80).replace(/\s\S*$/, "") : "";
+    if (start) link.href = `${address}:~:text=${encodeURIComponent(start).replaceAll("-", "%2D")}`;
     for (const { line } of best) item.appendChild(this.excerpt(line, wanted));
     return item;
   },
