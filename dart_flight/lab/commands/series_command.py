@@ -371,7 +371,7 @@ def _print_status_table(status: Any) -> None:
         held = one.held_out
         if held.peak is not None and held.out_m_s is not None:
             console.print(
-                f"{len(held.hits)} held-out hits: peak force {100.0 * held.peak:.1f} % rms, outgoing speed "
+                f"held-out hits: {len(held.hits)}, peak force {100.0 * held.peak:.1f} % rms, outgoing speed "
                 f"{held.out_m_s:.3f} m/s rms (constant restitution: {held.out_constant_m_s:.3f} m/s)",
                 soft_wrap=True,
             )
