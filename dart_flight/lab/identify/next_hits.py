@@ -1,7 +1,8 @@
 """The choice of the next hits of a trial series: a pure function of the fit so far and the limits.
 
 The speeds are equal steps up to the fastest safe speed. Half of the hits at each end of this range, or a
-D-optimal choice over speed, angle and mode, did not narrow the intervals by as much as a quarter.
+D-optimal choice over speed, angle and mode, did not narrow the intervals by as much as a quarter
+(docs/results/series_designs.md).
 """
 
 from __future__ import annotations
