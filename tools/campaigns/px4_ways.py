@@ -76,8 +76,9 @@ def page(rows: Sequence[JudgedRow]) -> str:
         by_way = grouped((r for r in rows if r.values["flown"] == name), "way")
         times = [_times(by_way[way,]) for way in (COLLIDING, FREE)]
         completed = sum(f.outcome == "completed" for f in mine)
-        followed = sum(bool(f.followed) for f in mine)
-        table.append([f"`{name}`", f"{completed} of {len(mine)}", f"{followed} of {len(mine)}", *times])
+        colliding = by_way[COLLIDING,]  # a flight without hits has no plan to follow
+        followed = sum(bool(f.followed) for f in colliding)
+        table.append([f"`{name}`", f"{completed} of {len(mine)}", f"{followed} of {len(colliding)}", *times])
     return markdown(_HEADS, table)
 
 
