@@ -98,9 +98,12 @@ def measure(options: argparse.Namespace, name: str) -> int:
         return 130
     rows = campaigns.read_rows(opened)
     text = importlib.import_module(f"tools.campaigns.{name}").page([r for r in rows if r.row is not None])
-    errors = {f"{row.values} seed {row.seed}": row.error for row in rows if row.error}
-    sentence, faults = results.without_result(list(errors.values()), len(rows))
-    failed = [f"- error: {where}: {error}" for where, error in errors.items() if error in faults]
+    sentence, faults = results.without_result([row.error for row in rows if row.error], len(rows))
+    failed = [
+        f"- error: {row.mission} {row.values} seed {row.seed}: {row.error}"
+        for row in rows
+        if row.error in faults
+    ]
     text = "\n".join([text, *([sentence] if sentence else []), *failed])
     (opened.folder / "page.md").write_text(text + "\n", "utf-8")
     print(text)

@@ -52,16 +52,24 @@ def hit_of(c: Any) -> Px4Hit:
     return Px4Hit(normal_m_s, peak_n, ratio, c.detection_latency_ms)
 
 
+def parameter_files(folder: Path, line: str | None) -> tuple[Path, ...]:
+    """Write a file of one parameter; without a line there is no file, because an empty one is refused."""
+    if not line:
+        return ()
+    file = folder / "case.params"
+    file.write_text(f"{line}\n")
+    return (file,)
+
+
 def fly(point: Point, seed: int) -> Px4Flight:
     """Fly the mission of a point on the PX4 of `--px4`."""
     source = PositionSource(point.case["position_from"])
     with tempfile.TemporaryDirectory() as folder:
         px4 = point.case.get("px4", os.environ[ENVIRONMENT])
-        file = Path(folder) / "case.params"
-        file.write_text(point.case.get("parameter", ""))
+        files = parameter_files(Path(folder), point.case.get("parameter"))
         v = fly_px4(
             point.mission, px4, seed, Path(folder) / "log",
-            position_from=source, spreads=point.spreads, parameter_files=(file,),
+            position_from=source, spreads=point.spreads, parameter_files=files,
         )  # fmt: skip
     return Px4Flight(
         version=v.px4.version if v.px4 else None,

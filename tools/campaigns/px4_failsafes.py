@@ -39,6 +39,7 @@ from dart_flight.recording.uncontrolled import TruthExtremes, find_uncontrolled
 from dart_flight.run.prepare import load_flyable
 from dart_flight.run.px4_flight import fly_px4
 from dart_flight.sim.px4.bridge import geodetic
+from tools.campaigns.px4 import parameter_files
 from tools.campaigns.results import grouped, markdown
 
 PHASES = {Phase.TRANSIT: 0.3, Phase.APPROACH: 0.2, Phase.RECOVERY: 0.1}  # delay of the disturbance, s
@@ -184,11 +185,10 @@ def _fly_once(case: Mapping[str, str], seed: int) -> Disturbed:
             hits.append((-record.normal_in_m_s, record.peak_normal_force_n))
 
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "row.params"
-        file.write_text(f"1\t1\t{disturbance.parameters}\n" if disturbance.parameters else "")
+        changed = disturbance.parameters and f"1\t1\t{disturbance.parameters}"
         if disturbance.parameters:
             threading.Thread(target=link.hold_sticks, daemon=True).start()
-        source, files = disturbance.position_from, (file,)
+        source, files = disturbance.position_from, parameter_files(Path(folder), changed)
         flown = fly_px4(
             mission, None, seed, Path(folder), position_from=source, parameter_files=files, viewer=observe
         )
