@@ -8,7 +8,10 @@ arrays.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -34,6 +37,11 @@ def minimum(x: Number, y: Number) -> Number:
 
 def where(condition: Number, yes: Number, no: Number) -> Number:
     return np.where(condition, yes, no) if _has_array(condition, yes, no) else (yes if condition else no)
+
+
+def sum_in_order(values: Iterable[float]) -> float:
+    """Add from left to right, as `sum` did before Python 3.12: a replay must not depend on the version."""
+    return functools.reduce(operator.add, values, 0.0)
 
 
 def _has_array(*values: Number) -> bool:

@@ -29,6 +29,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Final, NamedTuple
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import Quaternion, Vec3, add, rotate, rotate_back
 from dart_flight.config.vehicle import Coefficients
 from dart_flight.contact.law import Onset, normal_force
@@ -381,7 +382,7 @@ def _force(point: ContactPoint, motion: BodyMotion, onset: Onset) -> float:
 
 def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) -> tuple[WallLoad, list[float]]:
     forces = [_force(point, motion, law.onset) for point in points]
-    total = sum(forces)
+    total = sum_in_order(forces)
     if not total > 0.0:
         return NO_LOAD, forces
     force = torque = (0.0, 0.0, 0.0)
@@ -418,7 +419,7 @@ def _press(points: Sequence[ContactPoint], motion: BodyMotion, law: GuardLaw) ->
 def _bar_load(first: Corner, second: Corner, s: float) -> tuple[float, tuple[tuple[int, float], ...]]:
     """Return the share of k and f at a point of a bar, and each guard's deflection per metre of depth."""
     loads = [(first, 1.0 - s), (second, s)]
-    share = 0.5 / sum(load * load / len(corner.numbers) for corner, load in loads)
+    share = 0.5 / sum_in_order(load * load / len(corner.numbers) for corner, load in loads)
     return share, tuple(
         (number, 2.0 * share * load / len(corner.numbers))
         for corner, load in loads

@@ -39,6 +39,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import Quaternion, Vec2, wrap_angle, yaw_ned_of
 from dart_flight.base.records import (
     ContactAnswer,
@@ -609,7 +610,9 @@ class ContactFitter:
                 (belief.f, belief.f_sd, c.f),
                 (belief.mu, belief.mu_sd, c.mu),
             )
-            return sum(math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0)
+            return sum_in_order(
+                math.log(value / of) ** 2 / (sd * sd + spread2) for value, sd, of in pairs if of > 0.0
+            )
 
         best = min(self._vehicle.materials, key=misfit)
         return best if misfit(best) <= _KNOWN_MATERIAL else None

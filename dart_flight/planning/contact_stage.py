@@ -37,6 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.config.vehicle import Coefficients, VehicleConfig
 from dart_flight.contact.coefficients import Array, CoefficientArrays
 from dart_flight.contact.contact_map import friction_per_speed
@@ -181,7 +182,9 @@ class ContactStage:
     def normal(self, speed: Array, acceleration: Array, integral: Array) -> NormalOut:
         """Return the motion along the normal from values at the onset, m/s (`speed`, negative) and m/s2."""
         inputs = (speed, acceleration, integral)
-        rows = [sum(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal]
+        rows = [
+            sum_in_order(c * v for c, v in zip(row, inputs, strict=True) if c != 0.0) for row in self._normal
+        ]
         return NormalOut(-self.lead_s * speed, *(np.asarray(row) for row in rows))
 
     def tangential_shape(self, speed_m_s: Array) -> TangentialShape:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import Vec2
 from dart_flight.contact.coefficients import Array, Rows
 from dart_flight.core.mission.trajectories import Trajectory
@@ -146,6 +147,6 @@ def _sampled(planned: Trajectory, times: Array) -> Array:
 def _shift_polynomial(coefficients: tuple[float, ...], by: float) -> list[float]:
     """Return a polynomial's coefficients after shifting the origin of time by `by`."""
     return [
-        sum(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
+        sum_in_order(math.comb(n, k) * coefficients[n] * by ** (n - k) for n in range(k, len(coefficients)))
         for k in range(len(coefficients))
     ]

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import Vec2, wrap_angle
 from dart_flight.config.mission import Mission
 
@@ -210,7 +211,7 @@ class RoomFit:
         places = np.array([t.place for t in touches]) @ along
         spread = float(((places - places.mean()) ** 2).sum())
         sds = [t.sd_rad for t in touches if t.normal_rad is not None]
-        weight = spread / _ON_WALL_M**2 + sum(1.0 / max(sd, math.radians(1.5)) ** 2 for sd in sds)
+        weight = spread / _ON_WALL_M**2 + sum_in_order(1.0 / max(sd, math.radians(1.5)) ** 2 for sd in sds)
         sd_rad = 1.0 / math.sqrt(weight) if weight > 0.0 else math.radians(20.0)
         return RoomWall(float(self._angles[i]), offset, _ON_WALL_M / math.sqrt(len(group)), sd_rad, touches)
 

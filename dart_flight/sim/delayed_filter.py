@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import (
     Quaternion,
     Vec3,
@@ -209,7 +210,7 @@ class DelayedFilter:
 
 
 def _mean(vectors: tuple[Vec3, ...]) -> Vec3:
-    x, y, z = (sum(axis) / len(vectors) for axis in zip(*vectors, strict=True))
+    x, y, z = (sum_in_order(axis) / len(vectors) for axis in zip(*vectors, strict=True))
     return (x, y, z)
 
 

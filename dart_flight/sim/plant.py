@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 import msgspec
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import (
     GRAVITY_M_S2,
     MissionFrame,
@@ -472,7 +473,7 @@ class Plant:
             depths = obstacle.depths
             if depths is None and isinstance(obstacle, _WallPlane):
                 n, o = obstacle.normal, obstacle.ends.plane.point
-                depth = sum(n[i] * (o[i] - self.position[i]) for i in range(3))
+                depth = sum_in_order(n[i] * (o[i] - self.position[i]) for i in range(3))
                 depths = [max(0.0, depth - n[0] * r[0] - n[1] * r[1] - n[2] * r[2]) for r in levers]
             swung = fold_angles(self.body, current.start.fold_share, depths or ())
             angles = [a + b for a, b in zip(angles, swung, strict=True)]

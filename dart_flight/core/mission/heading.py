@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import wrap_angle
 from dart_flight.config.vehicle import VehicleConfig
 
@@ -56,7 +57,7 @@ class HeadingControl:
 
     def __init__(self, vehicle: VehicleConfig) -> None:
         motors, px4 = vehicle.airframe.motors, vehicle.px4
-        drag_m = sum(abs(motor.yaw_torque_per_thrust_m) for motor in motors)
+        drag_m = sum_in_order(abs(motor.yaw_torque_per_thrust_m) for motor in motors)
         most_nm = _MOST_TORQUE * vehicle.thrust.max_thrust_n * drag_m
         self._most_rad_s2 = most_nm / vehicle.airframe.inertia_kg_m2[2]
         self._per_s, self._p, self._i = px4.mc_yaw_p, px4.mc_yawrate_p, px4.mc_yawrate_i

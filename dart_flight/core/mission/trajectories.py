@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import msgspec
 
-from dart_flight.base.arithmetic import Number, maximum, sqrt
+from dart_flight.base.arithmetic import Number, maximum, sqrt, sum_in_order
 from dart_flight.base.geometry import Vec2, Vec3
 from dart_flight.base.records import PlanAnswer
 from dart_flight.config.mission_file import TrajectoryPieces
@@ -82,7 +82,7 @@ class Trajectory(msgspec.Struct, frozen=True):
     ) -> Trajectory:
         """Return a trajectory at constant altitude; after its end the last velocity continues."""
         z = (altitude_m, 0.0, 0.0, 0.0, 0.0, 0.0) * len(pieces_s)
-        lasts_s = sum(pieces_s) if duration_s is None else duration_s
+        lasts_s = sum_in_order(pieces_s) if duration_s is None else duration_s
         return cls(tuple(x), tuple(y), z, tuple(pieces_s), lasts_s)
 
     @classmethod

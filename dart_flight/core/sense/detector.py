@@ -19,6 +19,7 @@ import math
 from collections import deque
 from typing import Final, Literal, NamedTuple
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.geometry import Vec2
 from dart_flight.base.records import ContactEnd, DetectionFloor, ForceEstimate, ImpactOnset, ImpactPeak, Mode
 from dart_flight.base.walls import Wall
@@ -337,7 +338,7 @@ class ImpactDetector:
         if len(inside) < 3:
             return False
         size = self._smoothing(max(inside))
-        smooth = [sum(inside[i : i + size]) / size for i in range(len(inside) - size + 1)]
+        smooth = [sum_in_order(inside[i : i + size]) / size for i in range(len(inside) - size + 1)]
         top = max(smooth, default=0.0)
         threshold = self._config.force_threshold_n
         if top < 0.5 * threshold:
@@ -387,8 +388,8 @@ class ImpactDetector:
 
     def _direction(self) -> Vec2:
         """Return the direction of the impulse so far, which is steadier than the direction of a sample."""
-        sx = sum(s.fx * s.dt_us for s in self._samples)
-        sy = sum(s.fy * s.dt_us for s in self._samples)
+        sx = sum_in_order(s.fx * s.dt_us for s in self._samples)
+        sy = sum_in_order(s.fy * s.dt_us for s in self._samples)
         size = math.hypot(sx, sy)
         return (sx / size, sy / size) if size > 0.0 else self._normal
 
@@ -415,7 +416,10 @@ class ImpactDetector:
 
     def _mean_push(self) -> Vec2:
         n = len(self._samples)
-        return (sum(s.push[0] for s in self._samples) / n, sum(s.push[1] for s in self._samples) / n)
+        return (
+            sum_in_order(s.push[0] for s in self._samples) / n,
+            sum_in_order(s.push[1] for s in self._samples) / n,
+        )
 
     def _prior(self, state: FlightState) -> PulsePrior:
         mode = Mode.RIGID if state.lock_is_in(Mode.RIGID) else Mode.FLEXIBLE
@@ -495,7 +499,7 @@ def _onset_of_mean(samples: list[_Sample], along: Vec2) -> int:
     each stamp to the newest. The stamp with the largest sum is the onset.
     """
     forces = [s.fx * along[0] + s.fy * along[1] for s in samples]
-    rest = 0.5 * sum(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
+    rest = 0.5 * sum_in_order(forces[-_BEFORE:]) / min(len(forces), _BEFORE)
     best, total, first = -math.inf, 0.0, len(samples) - 1
     for i in range(len(samples) - 1, -1, -1):
         total += forces[i] - rest
@@ -514,7 +518,7 @@ def _mean_prior(priors: list[PulsePrior]) -> PulsePrior:
         return PulsePrior(50.0, 4.0, 1.0)
 
     def mean(values: list[float]) -> float:
-        return math.exp(sum(math.log(max(v, 1e-6)) for v in values) / len(values))
+        return math.exp(sum_in_order(math.log(max(v, 1e-6)) for v in values) / len(values))
 
     return PulsePrior(
         mean([p.omega for p in priors]), mean([p.sigma for p in priors]), mean([p.kappa for p in priors])
@@ -536,7 +540,7 @@ def _top_of(pulse: list[tuple[int, float]]) -> tuple[float, int]:
         return height, t0
     # Normal equations of y = c + b x + a x^2, centred for conditioning.
     n = float(len(points))
-    xm = sum(x for x, _ in points) / n
+    xm = sum_in_order(x for x, _ in points) / n
     s2 = s3 = s4 = p0 = p1 = p2 = 0.0
     for x, y in points:
         d = x - xm

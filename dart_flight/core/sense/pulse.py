@@ -22,6 +22,8 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from dart_flight.base.arithmetic import sum_in_order
+
 _MAX_BINS: Final = 13
 _STEPS: Final = 8
 # The model's own error, relative to the top. Without this error, a quiet sensor would get too much weight.
@@ -319,9 +321,9 @@ def _solve(h: list[list[float]], g: list[float]) -> list[float]:
                 row[j] = s / low[j][j]
     y = [0.0] * n
     for i in range(n):
-        y[i] = (g[i] - sum(low[i][p] * y[p] for p in range(i))) / low[i][i]
+        y[i] = (g[i] - sum_in_order(low[i][p] * y[p] for p in range(i))) / low[i][i]
     for i in range(n - 1, -1, -1):
-        y[i] = (y[i] - sum(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
+        y[i] = (y[i] - sum_in_order(low[p][i] * y[p] for p in range(i + 1, n))) / low[i][i]
     return y
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.filters import decay_factor
 from dart_flight.base.geometry import GRAVITY_M_S2
 from dart_flight.base.records import ActuatorSample, EscSample
@@ -146,7 +147,7 @@ class ThrustModel:
         f, volts = self._square, self._voltage_factor
         if f is None:
             self.each_n = each = tuple([force * volts for force in self._curve.forces_n(commands)])
-            return sum(each)
+            return sum_in_order(each)
         full, g = self._full_n * volts, 1.0 - f
         each_n: list[float] = []
         squares = linear = 0.0

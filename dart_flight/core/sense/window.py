@@ -12,6 +12,7 @@ import math
 from collections import deque
 from typing import Final
 
+from dart_flight.base.arithmetic import sum_in_order
 from dart_flight.base.filters import VarianceEstimate
 from dart_flight.base.geometry import Vec2
 
@@ -68,7 +69,7 @@ class WindowMean:
         if self._since_sum > n:
             # Sum again once per window, so that rounding errors do not accumulate.
             self._since_sum = 0
-            x, y = sum([s[1] for s in kept]), sum([s[2] for s in kept])
+            x, y = sum_in_order([s[1] for s in kept]), sum_in_order([s[2] for s in kept])
         self._x, self._y = x, y
         self.mean = (x / n, y / n)
 

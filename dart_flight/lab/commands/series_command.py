@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dart_flight.base.errors import FlightError
+from dart_flight.base.signals import StopSignals
 from dart_flight.cli.options import number, whole_number
 from dart_flight.cli.terminal import emit_json, messages, print_status, tables, write_text
 from dart_flight.config.document import InputError
@@ -306,23 +307,18 @@ def run_child(call: list[str]) -> int:
     A terminal sends Ctrl-C to both programs. Other signals reach only this program, and are passed on.
     """
     child: subprocess.Popen[bytes] | None = None
-    told: list[int] = []
+    told: list[signal.Signals] = []
 
-    def pass_on(number: int, _: object) -> None:
+    def pass_on(number: signal.Signals) -> None:
         told.append(number)
-        if child is not None:
+        if child is not None and number != signal.SIGINT:
             child.send_signal(number)
 
-    handlers = {signal.SIGINT: lambda *_: None, signal.SIGTERM: pass_on, signal.SIGHUP: pass_on}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
+    with StopSignals(pass_on):
         child = subprocess.Popen(call)
         for number in told:  # arrived before the child existed
             child.send_signal(number)
         return child.wait()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 # --- status, report, apply --------------------------------------------------------------------------------
