@@ -23,6 +23,12 @@ from tests.doubles.bench_vehicle import Motion, move_by_hand
 from tests.real_time import wait_until
 
 
+def eased(share: float) -> float:
+    """Return the part of a way that a smooth motion from rest to rest has covered at a share of its time."""
+    s = min(1.0, share)
+    return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+
+
 class CarriedVehicle(ThreadContext):
     """A vehicle with a real PX4, in real time, whose plant follows a motion by hand.
 

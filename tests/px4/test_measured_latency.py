@@ -16,7 +16,7 @@ from dart_flight.config.vehicle import packaged
 from dart_flight.run.prepare import with_simulated_mocap
 from tests.check.bringup.test_bringup import assert_passed
 from tests.check.bringup.test_pose_motion import Hand
-from tests.px4.carried_vehicle import CarriedVehicle, carried
+from tests.px4.carried_vehicle import CarriedVehicle, carried, eased
 from tests.real_time import assert_not_later
 
 pytestmark = pytest.mark.px4
@@ -33,8 +33,7 @@ class Waving:
 
     def __call__(self, time_s: float) -> tuple[Vec3, Quaternion]:
         t = max(0.0, time_s - self.begun_s)
-        s = min(1.0, t / _EASE_S)
-        share = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        share = eased(t / _EASE_S)
         p, p0 = self._hand.position(t * share), self._hand.position(0.0)
         x, y, z = (a - b for a, b in zip(p, p0, strict=True))
         return (x, y, z - 0.5 * share), self._hand.attitude(t * share)

@@ -15,14 +15,12 @@ from dart_flight.cli import main
 from dart_flight.config.mission import load_mission
 from dart_flight.run.prepare import with_simulated_mocap
 from tests.check.test_held_walls import attitude
-from tests.px4.carried_vehicle import carried
+from tests.px4.carried_vehicle import carried, eased
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.px4, pytest.mark.realtime]
 _CARRY_S = 4.0  # for the way from one place to the next
 _SETTLE_S = 2.0
-_ALIGN_S = 10.0  # in which PX4's estimator aligns
-_HEIGHT_M = 0.5
 
 
 class CarriedAround:
@@ -38,8 +36,7 @@ class CarriedAround:
 
     def __call__(self, time_s: float) -> tuple[Vec3, Quaternion]:
         t = max(0.0, time_s - self._begun_s)
-        s = min(1.0, t / _CARRY_S)
-        share = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        share = eased(t / _CARRY_S)
         north, east, yaw = (a + share * (b - a) for a, b in zip(self._from, self._to, strict=True))
         swing = self.swings_m * share * math.sin(6.0 * t)
         return (north, east + swing, 0.0), attitude(yaw)
@@ -70,8 +67,7 @@ def test_a_wall_is_measured_by_the_estimate_of_px4(
     path, config = tmp_path / "mission.yaml", tmp_path / "vehicle.yaml"
     path.write_text(source.read_text("utf-8"), "utf-8")
     mission = with_simulated_mocap(load_mission(source), "optitrack")
-    start = load_mission(source).start
-    assert start[:2] == (0.0, 0.0)
+    assert mission.start[:2] == (0.0, 0.0)
     places = [
         ((1.68, -1.5, 0.0), 0.06),
         ((1.68, -1.5, 0.0), 0.0),
@@ -85,9 +81,7 @@ def test_a_wall_is_measured_by_the_estimate_of_px4(
         config.write_bytes(msgspec.yaml.encode(vehicle_file.to_dict()))
         monkeypatch.setattr("sys.stdin", operator)
         assert main(["room", str(path), "--config", str(config), "--connection", url]) == 0
-    said = capsys.readouterr().err
-    print(said)
-    assert "hold it still; measure again" in said
+    assert "hold it still; measure again" in capsys.readouterr().err
     wall = load_mission(path, str(config)).flat_walls[0]
     assert wall.point == pytest.approx((1.68, 0.5), abs=0.02)
     assert wall.normal == pytest.approx((-1.0, 0.0), abs=0.02)

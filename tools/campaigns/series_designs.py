@@ -1,7 +1,7 @@
 """Campaign: three choices of the next hits of a trial series, compared in the same vehicles.
 
-The package has the first only. Hits at the two ends of the range of speeds and a D-optimal choice over speed,
-angle and mode, are kept here for this comparison.
+The package has equal steps of speed only. Hits at the two ends of the range of speeds, and a D-optimal choice
+over speed, angle and mode, exist only here.
 """
 
 from __future__ import annotations

@@ -55,12 +55,11 @@ class BothFlown(msgspec.Struct, frozen=True):
 
 
 class MapPlan(NamedTuple):
-    """One plan of a map; `gap_s` bounds what a longer search could gain."""
+    """One plan of a map."""
 
     scenario: Scenario
     plan: Plan
     is_best: bool
-    gap_s: float
 
     @property
     def mission(self) -> Mission:
@@ -89,9 +88,7 @@ def plan_map(kind: str, number: int, limits: str) -> dict[str, MapPlan]:
     scenario = load_scenario(scenario_of(kind, number, limits))
     result = plan_quickest(scenario)
     plans = {"free": result.free, "hit": result.colliding}
-    return {
-        way: MapPlan(scenario, p, p is result.best, result.gap_s) for way, p in plans.items() if p is not None
-    }
+    return {way: MapPlan(scenario, p, p is result.best) for way, p in plans.items() if p is not None}
 
 
 def fly(point: Point, seed: int) -> BothFlown:

@@ -20,9 +20,8 @@ import dart_flight
 from tools.site import search_index
 
 _QUOTED = re.compile(r"(?<!`)`([^`]+)`(?!`)(\w?)")
-_SHARED = re.compile(
-    r"^( +)((?:\w+, )+\w+): (.+(?:\n\1 +\S.*)*)", re.MULTILINE
-)  # `a, b: text` of two attributes
+# `a, b: text`, which describes two attributes in one entry
+_SHARED = re.compile(r"^( +)((?:\w+, )+\w+): (.+(?:\n\1 +\S.*)*)", re.MULTILINE)
 _PAGE = re.compile(r"\bdocs/([\w/]+)\.md\b")
 
 
