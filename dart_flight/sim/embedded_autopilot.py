@@ -284,10 +284,12 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold the current heading, and the position at which the vehicle would stop."""
+        """Hold the current heading, and the position at which the vehicle would stop; land at the current one."""
         e = self.estimator
-        # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s, braking takes about 0.5 s.
-        ahead = 0.5 if self.armed and self.landed is not LandedState.ON_GROUND else 0.0
+        # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s, braking takes about 0.5 s. Its
+        # landing returns to the position at which it began (measured on v1.18).
+        brakes = self.armed and self.landed is not LandedState.ON_GROUND and self.mode is not FlightMode.LAND
+        ahead = 0.5 if brakes else 0.0
         self._hold = TrajectorySetpoint(
             (
                 e.position[0] + ahead * e.velocity[0],

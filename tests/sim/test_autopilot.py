@@ -95,6 +95,18 @@ def test_the_offboard_loss_failsafe_holds_then_lands(autopilot: Autopilot) -> No
     assert not autopilot.armed
 
 
+@pytest.mark.parametrize(("mode", "stops_after_s"), [(FlightMode.LAND, 0.0), (FlightMode.HOLD, 0.5)])
+def test_a_landing_returns_to_where_it_began_and_a_hold_to_where_it_stops(
+    autopilot: Autopilot, mode: FlightMode, stops_after_s: float
+) -> None:
+    airborne(autopilot)
+    run(autopilot, 3.0, TrajectorySetpoint((NAN, NAN, -1.0), (0.8, 0.0, NAN), yaw=0.0))
+    (north, _, _), speed = autopilot.estimator.position, autopilot.estimator.velocity[0]
+    assert autopilot.set_mode(mode)
+    run(autopilot, 8.0)
+    assert autopilot.plant.position[0] == pytest.approx(north + stops_after_s * speed, abs=0.15)
+
+
 def test_the_autopilot_does_not_disarm_in_the_air_unless_forced(autopilot: Autopilot) -> None:
     airborne(autopilot)
     assert not autopilot.disarm()
