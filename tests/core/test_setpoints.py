@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from dart_flight.base.geometry import MissionFrame, Vec3
-from dart_flight.base.records import OdometrySample, Phase, Setpoint
+from dart_flight.base.records import Mode, OdometrySample, Phase, Setpoint
 from dart_flight.config.mission import Mission, load_mission
 from dart_flight.config.mission_file import TrajectoryPieces
 from dart_flight.config.vehicle import packaged
@@ -19,6 +19,7 @@ from dart_flight.core.mission.course import Course
 from dart_flight.core.mission.lock_commands import LockCommandState
 from dart_flight.core.mission.mission_progress import MissionProgress
 from dart_flight.core.mission.position_loop import ATTITUDE_LAG_S
+from dart_flight.core.mission.replan import Replan
 from dart_flight.core.mission.setpoint_selection import SetpointSelection
 from dart_flight.core.mission.setpoints import BOTH, FreeAxes, Reference, SetpointTrigger, make_setpoint
 from dart_flight.core.mission.trajectories import Trajectory, TrajectoryPoint
@@ -151,13 +152,23 @@ def test_thrust_is_commanded_ahead_of_the_attitude_dead_time(
     assert fed[:2] == pytest.approx(expected, abs=1e-9)
 
 
-def parts_before_wall(mission: Mission, sample: OdometrySample) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
-    """Return the parts of the setpoint shortly before a wall on the mission's own trajectory."""
+def parts_before_wall(
+    mission: Mission, sample: OdometrySample, mode: Mode | None = None
+) -> tuple[Vec3, Vec3 | None, Vec3 | None]:
+    """Return the parts of the setpoint shortly before a wall on the mission's own trajectory.
+
+    With a mode of the arms, the trajectory is a replanned one that ends leaning.
+    """
     pieces = TrajectoryPieces((0.0, 0.0), [(1.0, 0.0, 0.0)])
     (collision,) = (msgspec.structs.replace(one, trajectory=pieces) for one in mission.collisions)
     progress, state = MissionProgress(mission, {}), FlightState()
     progress.collisions, progress.course = [collision], STANDING.follow(INTO_A_WALL)
     progress.phase, progress.entered_us, state.now_us = Phase.APPROACH, 0, sample.t_us
+    if mode is not None:
+        progress.collisions = [msgspec.structs.replace(collision, mode=mode)]
+        impact_us = round(1e6 * INTO_A_WALL.duration_s)
+        progress.replan = Replan(trajectory=INTO_A_WALL, ends_leaning=True, impact_us=impact_us)
+        progress.phase = Phase.RECOVERY
     setpoint, _ = SetpointSelection(mission).setpoint(sample, progress, state, FRAME, None)
     return parts(known(setpoint))
 
@@ -209,6 +220,22 @@ def test_the_lean_before_a_wall_follows_the_vehicles_own_time_to_impact(
     assert own is not None
     assert fed[0] * tx + fed[1] * ty == pytest.approx(planned[0] * tx + planned[1] * ty, abs=1e-4)
     assert fed[0] * nx + fed[1] * ny == pytest.approx(own[0] * nx + own[1] * ny, abs=1e-4)
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_rigid_arms_keep_the_planned_time_of_a_replanned_lean(mode: Mode) -> None:
+    """The planner reduces this lean for rigid arms; a vehicle that is early must not lean more again."""
+    wall, end = MISSION.walls[0], INTO_A_WALL.at(INTO_A_WALL.duration_s)
+    at_us, closing_m_s = round(1e6 * (INTO_A_WALL.duration_s - 0.1)), 1.0
+    x, y, _ = end.position
+    place = (x + 0.05 * closing_m_s * wall.normal[0], y + 0.05 * closing_m_s * wall.normal[1], ALTITUDE_M)
+    motion = (-closing_m_s * wall.normal[0], -closing_m_s * wall.normal[1], 0.0)
+    sample = OdometrySample(at_us, 0, FRAME.point_to_ned(place), FRAME.vector_to_ned(motion))
+    _, _, fed = parts_before_wall(mission_with_delays(0.0), sample, mode)
+    leans_us = at_us if mode is Mode.RIGID else at_us + 50_000
+    _, _, planned = setpoint_parts(STANDING.follow(INTO_A_WALL), leans_us)
+    across = [sum(a * n for a, n in zip(known(one)[:2], wall.normal, strict=True)) for one in (fed, planned)]
+    assert across[0] == pytest.approx(across[1], abs=1e-4)
 
 
 def test_only_drag_is_added_in_the_climb() -> None:

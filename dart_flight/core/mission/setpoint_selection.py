@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from dart_flight.base.geometry import MissionFrame, Vec2, Vec3, add, rotate, scale, wrap_angle
-from dart_flight.base.records import AfterImpact, OdometrySample, Phase, Setpoint
+from dart_flight.base.records import AfterImpact, Mode, OdometrySample, Phase, Setpoint
 from dart_flight.base.walls import Wall
 from dart_flight.config.mission import Mission
 from dart_flight.core.mission.contact_feedforward import LONGEST_S, balancing_acceleration_m_s2
@@ -179,10 +179,9 @@ class SetpointSelection:
         """Return the acceleration off a wall that balances the contact's torque."""
         collision = progress.collision
         assert collision is not None
-        leaned = progress.phase is Phase.RECOVERY and progress.replan.is_leaned
-        out_m = self._airframe.contact_distance_m
-        if leaned:
+        if _is_leaned(progress):
             return 0.0
+        out_m = self._airframe.contact_distance_m
         return balancing_acceleration_m_s2(progress.contact_height_m, out_m, collision.mode)
 
     def _timing_correction_m_s2(self, progress: MissionProgress, since_s: float, free: FreeAxes) -> float:
@@ -195,6 +194,10 @@ class SetpointSelection:
         """
         trajectory, (nx, ny) = progress.course.trajectory, free.along[0]
         assert trajectory is not None
+        assert progress.collision is not None
+        # For rigid arms, the planner reduces the lean at the end and counts on the attitude's lag.
+        if _is_leaned(progress) and progress.collision.mode is Mode.RIGID:
+            return 0.0
         closing_m_s, own_s = -(free.velocity[0] * nx + free.velocity[1] * ny), since_s
         if closing_m_s > _CLOSES_M_S:
             x, y, _ = trajectory.at(trajectory.duration_s).position
@@ -243,6 +246,11 @@ class SetpointSelection:
         velocity = frame.vector_from_ned(sample.velocity_ned)
         position = frame.point_from_ned(sample.position_ned)
         return FreeAxes(along, add(position, scale(velocity, self._delay_s)), velocity)
+
+
+def _is_leaned(progress: MissionProgress) -> bool:
+    """Return whether the active trajectory ends with the tilt that balances the contact."""
+    return progress.phase is Phase.RECOVERY and progress.replan.is_leaned
 
 
 def _yaw_rate(state: FlightState) -> float:

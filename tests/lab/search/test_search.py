@@ -21,6 +21,7 @@ from dart_flight.lab.search.scenario import Objective, Scenario, load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.approach_grid import approach_grid
 from dart_flight.planning.constraints import CODE, Constraints, Refusal
+from tests.extras import needs_ruckig
 
 SCENARIOS = Path(__file__).parents[3] / "missions" / "scenarios"
 
@@ -97,6 +98,7 @@ def test_robust_minimises_expected_and_worst_miss_over_the_draws() -> None:
     assert result.trajectories > 64 * len(result.plans)
 
 
+@needs_ruckig
 def test_sequence_any_includes_several_sequences_and_the_free_flight() -> None:
     scenario = coarse("any_walls", Objective.NEAREST)
     result = search(scenario, top=5)
