@@ -67,8 +67,9 @@ class SecondLink:
             self.instance = int(found[1]) if found else None
 
     def send(self, message: Any) -> None:
-        """Send one message if the instance is known."""
+        """Send one message if the instance is known; the system ID follows the instance."""
         if self.instance is not None:
+            message.target_system = self.instance + 1
             self._socket.sendto(message.pack(self._pack), ("127.0.0.1", _PORT + self.instance))
 
     def command(self, number: int, **parameters: float) -> None:
