@@ -23,18 +23,22 @@ from dart_flight.core.mission.planned_impact import expected_hit, impact_velocit
 FLOWN_UP_TO_M_S = 3.0
 # Flights recovered from all impacts up to this incidence: up to 2 m/s in both modes, up to 3 m/s if rigid.
 INCIDENCE_FLOWN_DEG = 30.0
-# Largest distances (m) of the guards from the centre of mass at which the tilt stays below 60 degrees
+# Largest distances (m) of DART's guards from the centre of mass at which the tilt stays below 60 degrees
 # (docs/results/tumbles.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
 # arms; distance above. If the guards are below the centre of mass, impact and setpoint tilt the vehicle in
 # the same direction, so the limit is lower.
 HEIGHTS_FLOWN_M = (
-    (0.5, 0.060, 0.060, 0.05),
-    (1.0, 0.060, 0.060, 0.05),
+    (0.8, 0.100, 0.100, 0.10),
+    (1.0, 0.080, 0.080, 0.08),
+    (1.25, 0.067, 0.072, 0.05),
     (1.5, 0.050, 0.047, 0.05),
     (2.0, 0.030, 0.020, 0.05),
     (2.5, 0.012, 0.007, 0.04),
     (3.0, 0.005, 0.0, 0.03),
 )
+# Moment of inertia over mass of the vehicle that flew HEIGHTS_FLOWN_M. An impact rotates a vehicle by its
+# momentum times the height over the moment of inertia, so a smaller ratio lowers the limits.
+FLOWN_INERTIA_PER_MASS_M2 = 0.0125 / 1.3
 HEIGHT_SURE_SD = 2.0  # `check` allows for a height error of this many standard deviations
 CLIP_SHARE = 0.95  # usable fraction of full scale; the rest is a margin for tilt, noise and friction
 # Above this fraction of full scale, PX4 loses its position. At 254 N (fraction 1.25) the position was wrong
@@ -131,11 +135,19 @@ def incidence_warning(mission: Mission, collision: Collision) -> str | None:
     )
 
 
-def heights_flown_m(normal_m_s: float, mode: Mode) -> tuple[float, float]:
-    """Return how far below and above the centre of mass the guards may be for a proven recovery, metres."""
+def heights_flown_m(vehicle: VehicleConfig, normal_m_s: float, mode: Mode) -> tuple[float, float]:
+    """Return how far below and above the centre of mass the guards may be for a proven recovery, metres.
+
+    The limits of DART are scaled with the vehicle's moment of inertia per mass, and never raised.
+    """
+    airframe = vehicle.airframe
+    per_mass_m2 = min(airframe.inertia_kg_m2[:2]) / airframe.mass_kg
+    scale = min(1.0, per_mass_m2 / FLOWN_INERTIA_PER_MASS_M2)
     speeds, rigid, flexible, above = zip(*HEIGHTS_FLOWN_M, strict=True)
     below = rigid if mode is Mode.RIGID else flexible
-    return float(np.interp(normal_m_s, speeds, below)), float(np.interp(normal_m_s, speeds, above))
+    return scale * float(np.interp(normal_m_s, speeds, below)), scale * float(
+        np.interp(normal_m_s, speeds, above)
+    )
 
 
 def is_leaned(mission: Mission, collision: Collision) -> bool:
@@ -155,7 +167,7 @@ def height_warning(
     velocity = impact_velocity(collision) or velocity
     if velocity is None or contact.body is BodyModel.POINT:
         return None
-    below, above = heights_flown_m(-velocity[0], collision.mode)
+    below, above = heights_flown_m(mission.vehicle, -velocity[0], collision.mode)
     height, sd = contact.guard_height_m, contact.guard_height_sd_m
     slack = 0.0 if is_leaned(mission, collision) else HEIGHT_SURE_SD * sd
     if -below <= height - slack and height + slack <= above:

@@ -284,7 +284,7 @@ class Autopilot:
         return self._hold
 
     def _hold_here(self) -> None:
-        """Hold the heading, and the position at which the vehicle would stop; land at the current position."""
+        """Hold the heading, and the position where the vehicle would stop; land at the current position."""
         e = self.estimator
         # PX4 brakes before it holds; with the gains 0.95 1/s and 1.8 1/s, braking takes about 0.5 s. Its
         # landing returns to the position at which it began (measured on v1.18).

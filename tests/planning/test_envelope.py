@@ -7,7 +7,7 @@ import pytest
 
 from dart_flight.base.records import Mode
 from dart_flight.config.mission import Mission, load_mission
-from dart_flight.config.vehicle import packaged
+from dart_flight.config.vehicle import load_vehicle, packaged
 from dart_flight.lab.search.scenario import load_scenario
 from dart_flight.lab.search.search import search
 from dart_flight.planning.constraints import Refusal
@@ -73,7 +73,7 @@ def with_guards(height_m: float, sd_m: float, *more: str) -> Mission:
 def test_the_height_of_the_guards_and_its_scatter_are_judged_at_the_impact_speed(
     sd_m: float, side: float, beyond_m: float, warns: bool
 ) -> None:
-    below, above = heights_flown_m(1.0, Mode.FLEXIBLE)  # the speed of the mission
+    below, above = heights_flown_m(DUAL.vehicle, 1.0, Mode.FLEXIBLE)  # the speed of the mission
     height_m = side * ((below if side < 0.0 else above) - HEIGHT_SURE_SD * sd_m + beyond_m)
     mission = with_guards(height_m, sd_m)
     assert any("turn the vehicle over" in line for line in impact_warnings(mission)) is warns
@@ -84,9 +84,30 @@ def test_the_height_of_the_guards_and_its_scatter_are_judged_at_the_impact_speed
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_the_permitted_guard_height_below_the_centre_shrinks_with_speed(mode: Mode) -> None:
-    heights = [heights_flown_m(speed, mode) for speed in (0.3, 0.8, 1.7, 2.4, 9.0)]
+    heights = [heights_flown_m(DUAL.vehicle, speed, mode) for speed in (0.3, 0.8, 1.7, 2.4, 9.0)]
     assert [below for below, _ in heights] == sorted((below for below, _ in heights), reverse=True)
     assert all(math.isfinite(above) and above > 0.0 for _, above in heights)
+
+
+@pytest.mark.parametrize("name", ["ring_guard_250g", "rigid_cage", "hexarotor"])
+def test_a_vehicle_that_rotates_more_easily_has_lower_limits(name: str) -> None:
+    """The largest height at which the flights of docs/results/tumbles.md stayed below 60 degrees."""
+    stayed_m = {"ring_guard_250g": 0.01, "rigid_cage": 0.03, "hexarotor": 0.05}[name]
+    turned_m = {"ring_guard_250g": 0.02, "rigid_cage": 0.04, "hexarotor": math.inf}[name]
+    below, above = heights_flown_m(load_vehicle(packaged("configs", f"{name}.yaml")), 1.5, Mode.RIGID)
+    assert stayed_m <= below < turned_m
+    assert below == pytest.approx(above)
+
+
+@pytest.mark.parametrize("name", ["ring_guard_250g", "rigid_cage"])
+@pytest.mark.parametrize(("normal_m_s", "go"), [(None, True), (2.0, False)])
+def test_a_small_vehicle_may_hit_as_slowly_as_its_mission(
+    name: str, normal_m_s: float | None, go: bool
+) -> None:
+    mission = load_mission(packaged("missions", name, "single_wall.yaml"))
+    hit = mission.collisions[0]
+    faster = hit if normal_m_s is None else msgspec.structs.replace(hit, approach_m_s=(-normal_m_s, 0.0))
+    assert (height_warning(mission, faster) is None) is go
 
 
 def test_a_fast_hit_is_refused_without_a_touch_and_let_go_after_one() -> None:

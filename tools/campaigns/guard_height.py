@@ -1,7 +1,8 @@
-"""Campaign: the largest tilt by height of the guards, speed and mode (docs/results/tumbles.md)."""
+"""Campaign: the height of the guards at which a hit turns a vehicle over (docs/results/tumbles.md)."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -13,9 +14,12 @@ from tests.watched_flight import WatchedFlight
 from tools.campaigns.results import grouped, markdown
 from tools.campaigns.tumbles import mission_of
 
-_SPEEDS = ("1.0", "1.5", "2.0", "2.5", "3.0")
-_HEIGHTS_M = ("0.04", "0", "-0.02", "-0.04", "-0.06")
+_SPEEDS = ("0.8", "1.0", "1.25", "1.5", "2.0", "2.5", "3.0")
+_ABOVE_MM = ("0", "10", "20", "30", "40", "50", "60", "80", "100")
+_HEIGHTS_MM = {"below": ("-5", *(f"-{height}" for height in _ABOVE_MM[1:])), "above": _ABOVE_MM}
+_VEHICLES = (("dart", "rigid"), ("dart", "flexible"), ("rigid_cage", "rigid"), ("ring_guard_250g", "rigid"))
 _WALLS = (("acrylic", "0"), ("acrylic", "0.5"), ("wood", "0"))  # with the speed along the wall
+_TURNED_DEG = 60.0
 
 
 class TiltedFlight(msgspec.Struct, frozen=True):
@@ -25,30 +29,39 @@ class TiltedFlight(msgspec.Struct, frozen=True):
 
 
 def cases() -> list[dict[str, str]]:
-    """Return every combination of mode, speed, height and wall, at right angles."""
+    """Return every combination of vehicle, mode, speed, height and wall, at right angles."""
     room = {"room": "0", "angle_deg": "0", "after_impact": "replan"}
     return [
-        room | {"mode": mode, "normal_m_s": speed, "height_m": height, "material": material,
-                "tangential_m_s": along}
-        for mode in ("rigid", "flexible") for height in _HEIGHTS_M for speed in _SPEEDS
-        for material, along in _WALLS
+        room | {"vehicle": vehicle, "mode": mode, "side": side, "height_mm": height, "normal_m_s": speed,
+                "material": material, "tangential_m_s": along}
+        for vehicle, mode in _VEHICLES for side, heights in _HEIGHTS_MM.items() for height in heights
+        for speed in _SPEEDS for material, along in _WALLS
     ]  # fmt: skip
 
 
 def fly(point: Point, seed: int) -> TiltedFlight:
     """Fly with guards at one height; nothing is drawn."""
-    height = {"vehicle.simulation.contact.guard_height_m": float(point.case["height_m"])}
+    height = {"vehicle.simulation.contact.guard_height_m": 1e-3 * float(point.case["height_mm"])}
     watched = WatchedFlight(mission_of(dict(point.case)).replace(height), seed)
     watched.run()
     return TiltedFlight(math.degrees(watched.truth.tilt_rad))
 
 
 def page(rows: Sequence[JudgedRow]) -> str:
-    """Return the largest tilt of three walls; pairs are for rigid and flexible arms."""
-    table: dict[str, dict[str, list[str]]] = {}
-    for (height, speed, _), mine in grouped(rows, "height_m", "normal_m_s", "mode").items():
-        cells = table.setdefault(height, {}).setdefault(speed, [])
-        cells.append(f"{max(f.tilt_deg for f in mine):.0f}")
-    heads = ("guards, cm", *(f"{speed} m/s" for speed in dict.fromkeys(r.values["normal_m_s"] for r in rows)))
-    cm = {height: f"{100.0 * float(height):+.0f}" for height in table}
-    return markdown(heads, [[cm[h], *map(", ".join, cells.values())] for h, cells in table.items()])
+    """Return the largest height below which no flight at three walls reached 60 degrees of tilt."""
+    table: dict[tuple[str, ...], list[str]] = {}
+    for (vehicle, mode, side, _), mine in _tilts(rows).items():
+        stays = itertools.takewhile(lambda pair: pair[1] < _TURNED_DEG, mine.items())
+        highest = max((height for height, _ in stays), default=None)
+        most = "turns over" if highest is None else f"{highest}"
+        table.setdefault((vehicle, mode, side), []).append(most)
+    heads = ("vehicle", "mode", "guards", *(f"{speed} m/s" for speed in _SPEEDS))
+    return markdown(heads, [[f"`{vehicle}`", *keys, *cells] for (vehicle, *keys), cells in table.items()])
+
+
+def _tilts(rows: Sequence[JudgedRow]) -> dict[tuple[str, ...], dict[int, float]]:
+    """Return the largest tilt by distance of the guards, mm, for each vehicle, mode, side and speed."""
+    found: dict[tuple[str, ...], dict[int, float]] = {}
+    for (*key, height), mine in grouped(rows, "vehicle", "mode", "side", "normal_m_s", "height_mm").items():
+        found.setdefault(tuple(key), {})[abs(int(height))] = max(f.tilt_deg for f in mine)
+    return found

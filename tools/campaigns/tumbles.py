@@ -89,7 +89,7 @@ def mission_of(case: dict[str, str]) -> Mission:
         "limits": {"speed_m_s": speed + 1.0, "peak_force_n": 250.0},
         "after_impact": case["after_impact"],
     }
-    return load_mission(tree, load_vehicle(packaged("configs", "dart.yaml")))
+    return load_mission(tree, load_vehicle(packaged("configs", f"{case.get('vehicle', 'dart')}.yaml")))
 
 
 @functools.cache
