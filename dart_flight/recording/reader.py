@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 import msgspec
+import zstandard
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
-from zstandard import ZstdError
 
 from dart_flight.base.records import Record, World
 from dart_flight.config.document import InputError, open_file
@@ -30,7 +30,7 @@ IN_MEMORY: Final = "<memory>"  # the source of a log that has no file
 MAX_BYTES = 64 * 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
 # Exceptions that the libraries raise for damaged bytes.
-_DAMAGES = (McapError, ZstdError, struct.error, msgspec.MsgspecError, ValueError, OverflowError)
+_DAMAGES = (McapError, zstandard.ZstdError, struct.error, msgspec.MsgspecError, ValueError, OverflowError)
 DECODERS = {kind.topic: msgspec.json.Decoder(kind) for kind in RECORD_TYPES}
 
 
@@ -200,9 +200,15 @@ def _read_entries(
         elif isinstance(record, Metadata) and record.name == END:
             end.update(record.metadata)
         elif isinstance(record, Chunk) and about:
-            if record.uncompressed_size > MAX_BYTES:
-                raise ValueError(f"a chunk of {record.uncompressed_size} bytes")
+            size = max(record.uncompressed_size, _claimed_bytes(record))
+            if size > MAX_BYTES:
+                raise ValueError(f"a chunk of {size} bytes")
             yield from _entries_in(record, topics)
+
+
+def _claimed_bytes(chunk: Chunk) -> int:
+    """Return the size that a chunk's compressed data claim, which the library would allocate."""
+    return zstandard.frame_content_size(chunk.data) if chunk.compression == "zstd" else 0
 
 
 def _entries_in(chunk: Chunk, topics: dict[int, str]) -> Iterator[LogEntry]:

@@ -13,6 +13,7 @@ import sys
 import textwrap
 import threading
 import time
+import tracemalloc
 from functools import partial
 from pathlib import Path
 
@@ -43,7 +44,7 @@ from dart_flight.config.mission import Mission
 from dart_flight.lab.scene.csv_export import export_csv
 from dart_flight.recording.about import flown_mission, parse_written, written_mission
 from dart_flight.recording.encoding import decode, encode
-from dart_flight.recording.reader import Log, LogEntry, read_log
+from dart_flight.recording.reader import MAX_BYTES, Log, LogEntry, read_log
 from dart_flight.recording.schema import CLOCKS, RECORD_TYPES, schema
 from dart_flight.recording.writer import ABOUT, FORMAT_VERSION, FlightLog, LogPart, part_path
 from tests.real_time import wait_until
@@ -262,6 +263,26 @@ def test_a_damaged_byte_never_gives_wrong_records(
     finally:
         path.unlink()
     assert log.entries == flight.entries[: len(log.entries)]
+
+
+@pytest.mark.parametrize("claimed", [1 << 45, 1 << 33])
+def test_a_chunk_that_claims_gigabytes_is_damage_and_is_not_allocated(
+    claimed: int, flight_path: Path, tmp_path: Path
+) -> None:
+    whole = bytearray(flight_path.read_bytes())
+    frame = whole.index(b"\x28\xb5\x2f\xfd")  # magic number of Zstandard
+    whole[frame + 4 : frame + 13] = b"\xe0" + claimed.to_bytes(
+        8, "little"
+    )  # header with the size of the content
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(whole)
+    tracemalloc.start()
+    log = read_log(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert not log.complete
+    assert not log.entries
+    assert peak < MAX_BYTES
 
 
 def write_mcap(path: Path, metadata: dict[str, str] | None) -> Path:
