@@ -309,14 +309,17 @@ def page(rows: Sequence[JudgedRow]) -> str:
     anchored = [f for (part, _), mine in cases.items() if part == "anchors" for f in mine]
     tables = [
         _directions([w for f in cases.get(("directions", ""), []) for w in f.walls]),
-        markdown(_FLIGHT_HEADS, [[*key, *_flight_figures(mine)] for key, mine in cases.items() if key[1]]),
+        markdown(
+            _FLIGHT_HEADS,
+            [[flown, *_flight_figures(mine)] for (_, flown), mine in cases.items() if flown],
+        ),
         _hits([h for f in anchored for h in f.hits]),
         _rooms([r.row.room for r in rows if r.row.room is not None]),
     ]
     return "\n".join(table for table in tables if table)
 
 
-_FLIGHT_HEADS = ("part", "flown", "completed", "uncontrolled", "place rms m", "direction rms °, largest",
+_FLIGHT_HEADS = ("flown", "completed", "uncontrolled", "place rms m", "direction rms °, largest",
                  "both walls within 8 s", "ended by")  # fmt: skip
 
 
