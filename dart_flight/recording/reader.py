@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 import msgspec
 import zstandard
@@ -192,7 +192,8 @@ def _read_entries(
     source: str,
     begun: bool,
 ) -> Iterator[LogEntry]:
-    reader = StreamReader(stream, skip_magic=begun, emit_chunks=True, record_size_limit=MAX_BYTES)
+    limited: Any = _LimitedStream(stream)
+    reader = StreamReader(limited, skip_magic=begun, emit_chunks=True, record_size_limit=MAX_BYTES)
     for record in reader.records:
         if isinstance(record, Metadata) and record.name == ABOUT:
             _check_version(record.metadata, source)
@@ -204,6 +205,23 @@ def _read_entries(
             if size > MAX_BYTES:
                 raise ValueError(f"a chunk of {size} bytes")
             yield from _entries_in(record, topics)
+
+
+class _LimitedStream:
+    """A stream that refuses a damaged length inside a record, which would allocate gigabytes."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        self._stream = stream
+
+    def read(self, size: int = -1) -> bytes:
+        """Return up to `size` bytes.
+
+        Raises:
+            ValueError: the size is larger than any content of a log.
+        """
+        if size > MAX_BYTES:
+            raise ValueError(f"a length of {size} bytes")
+        return self._stream.read(size)
 
 
 def _claimed_bytes(chunk: Chunk) -> int:

@@ -14,6 +14,7 @@ import textwrap
 import threading
 import time
 import tracemalloc
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -265,15 +266,25 @@ def test_a_damaged_byte_never_gives_wrong_records(
     assert log.entries == flight.entries[: len(log.entries)]
 
 
-@pytest.mark.parametrize("claimed", [1 << 45, 1 << 33])
+def claim_content(whole: bytearray, claimed: int) -> None:
+    """Write a header of Zstandard's frame that names another size of the content."""
+    frame = whole.index(b"\x28\xb5\x2f\xfd")
+    whole[frame + 4 : frame + 13] = b"\xe0" + claimed.to_bytes(8, "little")
+
+
+def claim_chunk(whole: bytearray, claimed: int) -> None:
+    """Write another length of the compressed data into the first chunk."""
+    name = whole.index(b"zstd")
+    whole[name + 4 : name + 12] = claimed.to_bytes(8, "little")
+
+
+@pytest.mark.parametrize("claim", [claim_content, claim_chunk])
+@pytest.mark.parametrize("claimed", [1 << 62, 1 << 45, 1 << 33])
 def test_a_chunk_that_claims_gigabytes_is_damage_and_is_not_allocated(
-    claimed: int, flight_path: Path, tmp_path: Path
+    claim: Callable[[bytearray, int], None], claimed: int, flight_path: Path, tmp_path: Path
 ) -> None:
     whole = bytearray(flight_path.read_bytes())
-    frame = whole.index(b"\x28\xb5\x2f\xfd")  # magic number of Zstandard
-    whole[frame + 4 : frame + 13] = b"\xe0" + claimed.to_bytes(
-        8, "little"
-    )  # header with the size of the content
+    claim(whole, claimed)
     path = tmp_path / "flight.mcap"
     path.write_bytes(whole)
     tracemalloc.start()
