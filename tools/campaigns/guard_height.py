@@ -1,4 +1,4 @@
-"""Campaign: the height of the guards at which a hit turns a vehicle over (docs/results/tumbles.md)."""
+"""Campaign: the height of the guards at which a hit turns a vehicle over (docs/results/guard_height.md)."""
 
 from __future__ import annotations
 
