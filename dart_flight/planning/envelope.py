@@ -24,9 +24,9 @@ FLOWN_UP_TO_M_S = 3.0
 # Flights recovered from all impacts up to this incidence: up to 2 m/s in both modes, up to 3 m/s if rigid.
 INCIDENCE_FLOWN_DEG = 30.0
 # Largest distances (m) of DART's guards from the centre of mass at which the tilt stays below 60 degrees
-# (docs/results/guard_height.md). Columns: normal speed (m/s); distance below with rigid arms, and with flexible
-# arms; distance above. If the guards are below the centre of mass, impact and setpoint tilt the vehicle in
-# the same direction, so the limit is lower.
+# (docs/results/guard_height.md). Columns: normal speed (m/s); distance below with rigid arms, and with
+# flexible arms; distance above. If the guards are below the centre of mass, impact and setpoint tilt the
+# vehicle in the same direction, so the limit is lower.
 HEIGHTS_FLOWN_M = (
     (1.0, 0.100, 0.100, 0.10),
     (1.25, 0.067, 0.072, 0.08),
