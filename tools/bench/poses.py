@@ -1,7 +1,7 @@
 """Benchmark of the forwarding of motion-capture poses: its cost in latency and in processor time.
 
 The app of `tools.bench.latency` flies without a motion capture, then with the frames of an emulated OptiTrack
-server, which it forwards at `mocap.rate_hz`. The figures are in docs/results/motion_capture.md.
+server, which it forwards at `mocap.rate_hz`. The figures are in docs/results/pose_forwarding.md.
 
     python -m tools.bench.poses [IMPACTS]
 """

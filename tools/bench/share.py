@@ -5,7 +5,7 @@
 Each client is a separate process that receives from `impact_source` (a contact every three seconds), and the
 clients take turns. The parts are threads, with the processor time that Linux counts for each. Threads that
 neither Python nor the app started belong to MAVSDK. MAVSDK's callbacks build the records. The deadman is a
-separate process. The figures are in docs/results/latency.md.
+separate process. The figures are in docs/results/processor_time.md.
 """
 
 from __future__ import annotations
