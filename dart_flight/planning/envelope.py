@@ -29,10 +29,10 @@ INCIDENCE_FLOWN_DEG = 30.0
 # vehicle in the same direction, so the limit is lower.
 HEIGHTS_FLOWN_M = (
     (1.0, 0.100, 0.100, 0.10),
-    (1.25, 0.067, 0.072, 0.08),
-    (1.5, 0.050, 0.047, 0.05),
+    (1.25, 0.060, 0.060, 0.08),
+    (1.5, 0.050, 0.040, 0.05),
     (2.0, 0.030, 0.020, 0.05),
-    (2.5, 0.012, 0.007, 0.04),
+    (2.5, 0.010, 0.005, 0.04),
     (3.0, 0.005, 0.0, 0.03),
 )
 # Moment of inertia over mass of the vehicle that flew HEIGHTS_FLOWN_M. An impact rotates a vehicle by its

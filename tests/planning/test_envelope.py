@@ -95,7 +95,7 @@ def test_the_permitted_guard_height_below_the_centre_shrinks_with_speed(mode: Mo
         ("ring_guard_250g", 0.8, 0.03, 0.04),
         ("ring_guard_250g", 1.25, 0.01, 0.02),
         ("ring_guard_250g", 2.0, 0.0, 0.005),
-        ("rigid_cage", 1.0, 0.04, 0.08),
+        ("rigid_cage", 1.0, 0.05, 0.08),
         ("rigid_cage", 1.5, 0.03, 0.04),
         ("rigid_cage", 2.0, 0.01, 0.02),
         ("hexarotor", 1.5, 0.05, math.inf),
