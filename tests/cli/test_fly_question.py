@@ -46,7 +46,7 @@ def test_a_no_go_is_printed_as_json(as_json: bool, capsys: pytest.CaptureFixture
     mission = load_flyable(Path(__file__).parents[2] / "missions" / "hover.yaml")
     arguments = argparse.Namespace(json=as_json, overrule=[], yes=True)
     found = [CheckFinding("battery", False, "12.1 V")]
-    assert fly_if_go(arguments, mission, "udpin://127.0.0.1:1", Mock(), found) is None
+    assert fly_if_go(arguments, mission, "udpin://127.0.0.1:14999", Mock(), found) is None
     printed = capsys.readouterr().out
     if not as_json:
         assert printed == ""

@@ -190,11 +190,11 @@ def test_an_unexpected_system_error_is_one_line_with_its_source_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refuse(*_: object) -> None:
-        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), "/etc/odd")
+        raise OSError(errno.ENXIO, os.strerror(errno.ENXIO), "/etc/odd")
 
     monkeypatch.setattr("dart_flight.config.provenance.load_vehicle", refuse)
     assert main(PREDICT) == 1
-    assert capsys.readouterr().err.startswith("/etc/odd: Operation not permitted (test_output.py:")
+    assert capsys.readouterr().err.startswith(f"/etc/odd: {os.strerror(errno.ENXIO)} (test_output.py:")
 
 
 # --- broken streams --------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from dart_flight.vehicle.vehicle_session import VehicleError
 from tests.run.scripted_session import ScriptedSession, connecting_to, until
 
 VEHICLE = load_vehicle(packaged("configs", "dart.yaml")).replace({"lock.servo.travel_s": 0.05})
-URL = "udpin://127.0.0.1:1"
+URL = "udpin://127.0.0.1:14999"
 RECEIVER = 65536
 OK, LATER, NO = Result.ACCEPTED, Result.TEMPORARILY_REJECTED, Result.DENIED
 FLY = Press(Button.FLY, 1)
@@ -401,7 +401,7 @@ def test_signals_land_the_flight_and_end_standby(monkeypatch: pytest.MonkeyPatch
 
 
 def test_wrong_input_is_reported_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["standby", str(tmp_path / "none.yaml"), "--connection", "udpin://127.0.0.1:1"]) == 2
+    assert main(["standby", str(tmp_path / "none.yaml"), "--connection", "udpin://127.0.0.1:14999"]) == 2
     assert "none.yaml" in capsys.readouterr().err
     assert main(["standby", "--connection", "nonsense"]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

@@ -173,7 +173,7 @@ def maestro(tmp_path: Path) -> Iterator[Mission]:
 def test_the_operator_confirms_the_direction_of_the_servo(
     maestro: Mission, answer: Callable[[str], bool], result: StepOutcome, message: str
 ) -> None:
-    found = run_step(Bringup(maestro, "udpin://127.0.0.1:1", ScriptedOperator(answer=answer)), "servo")
+    found = run_step(Bringup(maestro, "udpin://127.0.0.1:14999", ScriptedOperator(answer=answer)), "servo")
     assert found.result is result
     assert message in found.message
     if result is StepOutcome.PASS:
@@ -182,7 +182,7 @@ def test_the_operator_confirms_the_direction_of_the_servo(
 
 def test_a_servo_in_use_ends_the_bring_up(maestro: Mission) -> None:
     assert maestro.vehicle.lock is not None
-    bringup = Bringup(maestro, "udpin://127.0.0.1:1", ScriptedOperator())
+    bringup = Bringup(maestro, "udpin://127.0.0.1:14999", ScriptedOperator())
     with (
         owned_driver(maestro.vehicle.lock, clock_us=host_us),
         pytest.raises(ServoInUseError, match=f"process {os.getpid()}$"),
@@ -195,7 +195,7 @@ def test_an_unplugged_servo_controller_is_named() -> None:
     assert lock is not None
     lock = msgspec.structs.replace(lock, driver=LockDriver.MAESTRO)
     mission = msgspec.structs.replace(MISSION, vehicle=msgspec.structs.replace(MISSION.vehicle, lock=lock))
-    found = run_step(Bringup(mission, "udpin://127.0.0.1:1", ScriptedOperator()), "servo")
+    found = run_step(Bringup(mission, "udpin://127.0.0.1:14999", ScriptedOperator()), "servo")
     assert found.result is StepOutcome.FAIL
     assert lock.maestro.port in found.message
 
@@ -223,7 +223,7 @@ def test_passed_steps_are_stored_and_not_repeated(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(("vehicle", "by_hand"), [("dart", 5), ("rigid_cage", 4), ("ring_guard_250g", 4)])
 def test_the_servo_step_of_a_vehicle_without_a_lock_needs_no_operator(vehicle: str, by_hand: int) -> None:
     mission = load_empty_room(packaged("configs", f"{vehicle}.yaml"))
-    bringup = Bringup(mission, "udpin://127.0.0.1:1", ScriptedOperator())
+    bringup = Bringup(mission, "udpin://127.0.0.1:14999", ScriptedOperator())
     assert sum(bringup.needs_operator(step) for step in STEPS) == by_hand
     if not mission.vehicle.has_lock:
         assert run_step(bringup, "servo").result is StepOutcome.SKIPPED
@@ -234,7 +234,7 @@ def test_a_foreign_state_file_is_refused(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bringup.json").write_bytes(content)
-    assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
+    assert main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
     assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
 
@@ -242,7 +242,7 @@ def test_an_unreadable_state_file_is_not_reported_as_foreign(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bringup.json").mkdir()
-    assert main(["bringup", "--connection", "udpin://127.0.0.1:1", "--state", str(tmp_path), "--yes"]) == 2
+    assert main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
     assert capsys.readouterr().err.strip().endswith("bringup.json: cannot read: Is a directory")
 
 
@@ -251,7 +251,7 @@ def test_a_vehicle_that_answers_no_requests_fails_the_link_step(monkeypatch: pyt
         raise NoAnswerError("sends telemetry but does not answer requests: TIMESYNC")
 
     monkeypatch.setattr(Bringup, "_connect", refuse)
-    found = run_step(Bringup(MISSION, "udpin://127.0.0.1:1", ScriptedOperator()), "link")
+    found = run_step(Bringup(MISSION, "udpin://127.0.0.1:14999", ScriptedOperator()), "link")
     assert found.result is StepOutcome.FAIL
     assert "does not answer requests: TIMESYNC" in found.message
 
