@@ -234,7 +234,9 @@ def test_a_foreign_state_file_is_refused(
     content: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bringup.json").write_bytes(content)
-    assert main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
+    assert (
+        main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
+    )
     assert "not a bring-up record of dart-flight" in capsys.readouterr().err
 
 
@@ -242,7 +244,9 @@ def test_an_unreadable_state_file_is_not_reported_as_foreign(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "bringup.json").mkdir()
-    assert main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
+    assert (
+        main(["bringup", "--connection", "udpin://127.0.0.1:14999", "--state", str(tmp_path), "--yes"]) == 2
+    )
     assert capsys.readouterr().err.strip().endswith("bringup.json: cannot read: Is a directory")
 
 
